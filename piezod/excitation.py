@@ -7,9 +7,8 @@ It starts at or near -1, the rest position of a stack.
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
 
 MULTISINE_HARMONICS = (1, 2, 3, 5, 8, 13)
 

@@ -4,13 +4,12 @@ import os
 from typing import Protocol, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piezod import model as room
 from piezod.api.arguments import number_of, path_of, samples_of
+from piezod.arrays import Array
 from piezod.errors import UsageError
-
-Array = NDArray[np.float64]
 
 
 class HasModel(Protocol):

@@ -4,12 +4,10 @@ import html
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.report.page import axis_label
 from piezod.report.style import BLUE, GREY
-
-Array = NDArray[np.float64]
 
 WIDTH, HEIGHT, LEFT, BOTTOM, TOP = 560, 240, 60, 34, 22  # of the picture [px]
 MOST_POINTS = 1500

@@ -10,8 +10,6 @@ from piezod.model.expected import ExpectedReading
 from piezod.recording.ring_log import ROW_DTYPE
 from piezod.recording.ticks import GOOD, pair_rows
 
-Array = NDArray[np.float64]
-
 LONGEST_GAP_S = 5.0
 """Longest gap of missed ticks that is bridged with the last voltage [s]; after a longer gap the prediction restarts."""
 

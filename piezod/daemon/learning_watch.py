@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.config import BenchConfig
 from piezod.control.references.iterative_learning import Bounds, IterativeLearning, Learning
 from piezod.control.references.repeat_correction import RepeatCorrection
@@ -21,8 +22,6 @@ from piezod.runtime import threads
 from piezod.session.assembly import plan_ahead, reference_table
 from piezod.session.history import is_tracking
 from piezod.session.learned_file import LearnedFile, most_N
-
-Array = NDArray[np.float64]
 
 LEAST_PASS_S = 1.0
 """Shortest pass [s]: a correction is computed in some 10 ms, and the rows are read ten times a second."""

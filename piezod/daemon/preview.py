@@ -6,6 +6,7 @@ tracking error that a known reference (a file or a waveform) would avoid.
 """
 
 from math import nan, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from piezod.control import State
 from piezod.errors import ModelError
 from piezod.model import ExtendedCompensator, Model
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from piezod.arrays import Array
 
 
 class MissingPreview:

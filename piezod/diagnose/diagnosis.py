@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from piezod.arrays import Array
 from piezod.diagnose.adequacy.guard import explainable
 from piezod.diagnose.adequacy.remainder import motion_of
 from piezod.diagnose.adequacy.unrecorded import unrecorded_input
@@ -46,8 +46,6 @@ from piezod.estimation.recordings.series import Series
 from piezod.estimation.recordings.sources import Source
 from piezod.model import Model, model_sha256
 from piezod.model.unnamed_law import LawStep
-
-Array = NDArray[np.float64]
 
 WITHOUT_NOISE: dict[Verdict, Verdict] = {"matches": "not_testable", "explained": "partly_explained"}
 """Verdict if the noise is unknown: then nothing shows that the residual is noise."""

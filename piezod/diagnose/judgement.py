@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.adequacy.guard import explainable
 from piezod.diagnose.adequacy.remainder import motion_of
 from piezod.diagnose.candidates.starts import DIRECT
@@ -48,8 +48,6 @@ from piezod.estimation.recordings.series import Series
 from piezod.estimation.recordings.sources import Source
 from piezod.identify.scores import nrmse_percent
 from piezod.model import Model
-
-Array = NDArray[np.float64]
 
 UNTESTABLE = 0.8  # untestable share of the catalogue above which no verdict `matches` is given
 OTHER_STACK = 3.0  # error over that at the identification above which the stack itself has changed

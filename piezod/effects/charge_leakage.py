@@ -12,7 +12,8 @@ Source     Kistler Instrumente AG, Basics of Piezoelectric Measuring Technology,
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Past, Values
+from piezod.arrays import Array
+from piezod.effects.effect import Checks, Context, Effect, Location, Past, Values
 from piezod.effects.kernels import first_order_coefficients, first_order_run, first_order_step
 from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import Memory, Tick, TickSetting

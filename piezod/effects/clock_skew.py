@@ -10,7 +10,8 @@ Source     Derived here; piezod/effects/README.md, "Clock skew".
 
 import numpy as np
 
-from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Values, all_the_time
+from piezod.arrays import Array
+from piezod.effects.effect import LATE, Checks, Context, Effect, Location, Values, all_the_time
 from piezod.effects.parameter import Parameter, Search
 
 

@@ -19,7 +19,8 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Location, Past, Values
+from piezod.arrays import Array
+from piezod.effects.effect import Context, Effect, Location, Past, Values
 from piezod.effects.kernels import chain_run, first_order_coefficients, first_order_step
 from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import SHARED, Memory, Tick, TickSetting

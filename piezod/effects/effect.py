@@ -5,14 +5,11 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from piezod.arrays import Array
 from piezod.effects.parameter import Parameter
 from piezod.effects.tick import Preview, Tick
 from piezod.recording.hold import STRAIGHT, Hold
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 

@@ -15,7 +15,8 @@ Source     P. R. Dahl (1968), A Solid Friction Model, DTIC ADA041920. M. Ismail,
 
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Location, Values
+from piezod.arrays import Array
+from piezod.effects.effect import Context, Effect, Location, Values
 from piezod.effects.kernels import bouc_wen
 from piezod.effects.parameter import Parameter, Search
 

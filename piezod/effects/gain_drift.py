@@ -18,7 +18,8 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values, all_the_time
+from piezod.arrays import Array
+from piezod.effects.effect import Checks, Context, Effect, Location, Values, all_the_time
 from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import Memory, Tick, TickSetting
 

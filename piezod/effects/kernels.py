@@ -9,11 +9,9 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.effects.tick import Memory
-
-Array = NDArray[np.float64]
 
 NODES, FARTHEST = 1024, 24.0  # size of the Bouc-Wen table, and its last distance: the state is constant beyond
 SWELL_AT_V, SWELL_PER_V = 60.0, 100.0  # voltage at which a time constant is given, and the change that swell refers to

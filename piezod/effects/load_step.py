@@ -11,7 +11,8 @@ Source     Derived here; the ramp: chosen here; piezod/effects/README.md, "Load 
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values
+from piezod.arrays import Array
+from piezod.effects.effect import Checks, Context, Effect, Location, Values
 from piezod.effects.parameter import Parameter, Search
 
 NEVER_s = 1e7  # instant beyond every record: the load stays

@@ -15,7 +15,8 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values, at_its_frequency
+from piezod.arrays import Array
+from piezod.effects.effect import Checks, Context, Effect, Location, Values, at_its_frequency
 from piezod.effects.parameter import Parameter, Search, below_the_fastest_mode
 from piezod.effects.tick import Memory, Tick, TickSetting
 

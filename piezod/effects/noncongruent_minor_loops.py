@@ -20,7 +20,8 @@ Source     I. D. Mayergoyz (2003), Mathematical Models of Hysteresis and Their A
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values
+from piezod.arrays import Array
+from piezod.effects.effect import Checks, Context, Effect, Location, Values
 from piezod.effects.kernels import bouc_wen
 from piezod.effects.parameter import Parameter, Search
 from piezod.operators.compiled_cache import forget_outdated_steps

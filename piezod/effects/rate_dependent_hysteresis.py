@@ -19,7 +19,8 @@ import math
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values, unchanged
+from piezod.arrays import Array
+from piezod.effects.effect import Checks, Context, Effect, Location, Values, unchanged
 from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 

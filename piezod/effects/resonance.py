@@ -14,7 +14,8 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values, at_its_frequency
+from piezod.arrays import Array
+from piezod.effects.effect import Checks, Context, Effect, Location, Values, at_its_frequency
 from piezod.effects.kernels import (
     second_order,
     second_order_matrices,

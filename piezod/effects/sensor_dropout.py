@@ -11,7 +11,8 @@ Source     Derived here for a device that repeats its last value; piezod/effects
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values
+from piezod.arrays import Array
+from piezod.effects.effect import Checks, Context, Effect, Location, Values
 from piezod.effects.parameter import Parameter, Search
 
 LATEST_s = 1e7  # later than every record

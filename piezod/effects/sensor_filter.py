@@ -17,7 +17,8 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Values
+from piezod.arrays import Array
+from piezod.effects.effect import LATE, Checks, Context, Effect, Location, Values
 from piezod.effects.kernels import (
     first_order_coefficients,
     first_order_run,

@@ -13,7 +13,8 @@ Source     Physik Instrumente (2005), Designing with Piezoelectric Transducers: 
 import numba
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values
+from piezod.arrays import Array
+from piezod.effects.effect import Checks, Context, Effect, Location, Values
 from piezod.effects.parameter import Driven, Parameter, Search
 from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 

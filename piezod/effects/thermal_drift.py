@@ -14,7 +14,8 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Context, Effect, Location, Values, all_the_time
+from piezod.arrays import Array
+from piezod.effects.effect import Context, Effect, Location, Values, all_the_time
 from piezod.effects.kernels import first_order_run
 from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import Memory, Tick, TickSetting

@@ -13,12 +13,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from piezod.arrays import Array
 from piezod.recording.hold import Hold
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 

@@ -13,7 +13,8 @@ Source     T. I. Laakso, V. Valimaki, M. Karjalainen and U. K. Laine (1996), Spl
 import numba
 import numpy as np
 
-from piezod.effects.effect import LATE, Array, Checks, Context, Effect, Location, Values
+from piezod.arrays import Array
+from piezod.effects.effect import LATE, Checks, Context, Effect, Location, Values
 from piezod.effects.parameter import Parameter, Search
 from piezod.effects.tick import Preview
 

@@ -13,7 +13,8 @@ import math
 
 import numpy as np
 
-from piezod.effects.effect import Array, Checks, Context, Effect, Location, Values, at_its_frequency
+from piezod.arrays import Array
+from piezod.effects.effect import Checks, Context, Effect, Location, Values, at_its_frequency
 from piezod.effects.parameter import Parameter, Search, below_the_fastest_mode
 
 TURN = 2.0 * math.pi

@@ -5,12 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.identify.scores import largest, max_hysteresis_percent, nrmse_percent, rms
 from piezod.model.parameters import FitFigures
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.base.smooth_base import Base
 from piezod.estimation.fit.columns import (
     Samples,
@@ -22,8 +22,6 @@ from piezod.estimation.fit.quadratic_program import Constraints, Variant, solve_
 from piezod.model.parameters import Hysteresis, Superposition
 from piezod.operators import EPS
 from piezod.operators.dead_zone import inverse_dead_zone, shifted
-
-Array = NDArray[np.float64]
 
 MOST_STEPS = 12
 MOST_RESCALED = 3

@@ -6,8 +6,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import UsageError
 from piezod.estimation.fit.columns import Samples
 from piezod.estimation.recordings.intake import OnStep
@@ -21,8 +21,6 @@ from piezod.model import Model, file_sha256
 from piezod.model.parameters import Channel, Provenance, RecordingSource, Start
 from piezod.recording import Recording
 from piezod.recording.names import unit_of
-
-Array = NDArray[np.float64]
 
 LEAST_EXPLAINED = 0.5
 """Share of the output's variance that a useful model must explain."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.estimation.fit.columns import Samples, Structure
 from piezod.estimation.fit.quadratic_program import Variant
@@ -16,8 +16,6 @@ from piezod.estimation.recordings.start import output_after
 from piezod.identify.fit import Fit, fit_hysteresis
 from piezod.identify.tables import dead_zone_rows, play_rows
 from piezod.operators import PrandtlIshlinskii
-
-Array = NDArray[np.float64]
 
 PLAYS = (2, 4, 6, 8, 11, 14, 18, 23, 29)
 ZONES = (0, 1, 2, 3, 4, 6, 8)

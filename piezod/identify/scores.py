@@ -5,9 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.operators.play import play_states_run
-
-Array = NDArray[np.float64]
 
 MOST_SAMPLES = 500_000  # samples of a record above which it is thinned; 100 cells need no more
 SMALL_REVERSAL = 0.005  # share of the drive's range; a reversal by twice this share begins a new branch

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.base.reduction import reduced
 from piezod.estimation.base.smooth_base import Base, fit_smooth_base, refit
 from piezod.estimation.fit.columns import Samples
@@ -20,8 +21,6 @@ from piezod.identify.stretches import Stretch, Structures, split_stretch, unspli
 from piezod.model.parameters import FitFigures
 from piezod.operators import PrandtlIshlinskii
 from piezod.recording import Recording
-
-Array = NDArray[np.float64]
 
 FINE_PLAYS, FINE_ZONES = 40, 20
 """Tables of the smooth base. Twice as fine, the error on new recordings of three concealed plants with coloured noise

@@ -10,14 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import UsageError
 from piezod.estimation.recordings.start import estimate_start, starts_at_rest
 from piezod.estimation.recordings.unknown_past import fitted_past, unknown_past
 from piezod.identify.scores import largest, nrmse_percent, rms
 from piezod.model import Model, decays_of, run_chain
 from piezod.recording import Recording
-
-Array = NDArray[np.float64]
 
 SLOPE_OVER = 0.01
 """Half width of the difference that gives the slope of the force law, as share of the input's range."""

@@ -14,9 +14,8 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
 
 KNOTS = np.array([-4, -2, -1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64])
 """Lags at which S is estimated [samples]; denser near the step, where it changes fastest."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.estimation.base.smooth_base import fit_roughly
 from piezod.estimation.base.thresholds import INSIDE, dead_zone_thresholds, play_reach, play_thresholds, widest
@@ -26,8 +27,6 @@ from piezod.estimation.recordings.suitability import FEWEST_SAMPLES
 from piezod.identify.fit import fit_hysteresis, fit_of_base
 from piezod.recording import Recording
 from piezod.recording.names import unit_of
-
-Array = NDArray[np.float64]
 
 START_SAMPLES, START_ROWS = 8000, 3000
 """Samples simulated and rows fitted to estimate the start of a recording. The start affects the first rise only."""

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.model.parameters import Hysteresis
 from piezod.operators.dead_zone import inverse_dead_zone, split
 from piezod.operators.play import inverse_table
-
-Array = NDArray[np.float64]
 
 MATTERS = 0.01  # share of the steepest slope below which a weight is negligible
 

@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.model.parameters import Hysteresis
-
-Array = NDArray[np.float64]
 
 BRANCH = 400  # samples of a branch of the loop
 

@@ -15,16 +15,14 @@ is frozen, the last difference stays. The result is for display and comparison; 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.effects import EFFECTS
 from piezod.model.chain.acting import acting_effects
 from piezod.model.chain.tick_chain import TickChain
 from piezod.model.chain.tick_steps import read_chain
 from piezod.model.parameters import Model
 from piezod.model.unnamed_law import LawStep
-
-Array = NDArray[np.float64]
 
 
 class ExpectedReading:

@@ -4,16 +4,14 @@ import math
 from collections.abc import Collection
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.effects import EFFECTS
 from piezod.model.chain.acting import refuse_uncompensated
 from piezod.model.chain.tick_chain import TickChain, ticks_late
 from piezod.model.chain.tick_steps import commit_chain, plan_chain
 from piezod.model.law_inverse import law_inverse
 from piezod.model.parameters import Model
-
-Array = NDArray[np.float64]
 
 
 class ExtendedCompensator:

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from piezod.arrays import Array
 from piezod.config import Section
 
-Array = NDArray[np.float64]
 Finite = Annotated[tuple[float, ...], Field(strict=False)]
 Interval = Annotated[tuple[float, float], Field(strict=False)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]

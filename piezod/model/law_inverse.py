@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.effects.tick import SHARED
 from piezod.model.chain.compiled_steps import CALLED
 from piezod.model.chain.tick_chain import TickChain
@@ -19,8 +19,6 @@ from piezod.model.chain.tick_steps import Program, commit_chain, plan_chain
 from piezod.model.parameters import Model
 from piezod.model.unnamed_law import NAME, LawStep, advance_drivers, advance_law
 from piezod.operators.compiled_cache import forget_outdated_steps
-
-Array = NDArray[np.float64]
 
 ITERATIONS = 3
 LARGEST = 0.7  # of the force's slope; three iterations then leave a third of the law's change within a tick

@@ -15,12 +15,10 @@ from typing import Annotated, Literal, Self, get_args
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from piezod.arrays import Array
 from piezod.config import Section
-
-Array = NDArray[np.float64]
 
 Driver = Literal["command", "rate", "direction", "way", "stroke", "reading", "reading_rate"]
 NAME = "unnamed_law"

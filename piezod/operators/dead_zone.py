@@ -10,12 +10,10 @@ Theory: piezod/operators/README.md, "Dead zone".
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import ModelError
 from piezod.operators.play import check_superposition, inverse_table
-
-Array = NDArray[np.float64]
 
 
 @numba.njit(cache=True)

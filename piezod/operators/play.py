@@ -11,11 +11,9 @@ no memory. Theory: piezod/operators/README.md, "Play" and "Weighted superpositio
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import ModelError
-
-Array = NDArray[np.float64]
 
 WEIGHT, STATE = 1, 2  # thirds of the block after the thresholds
 MOST_NEWTON = 60  # steps: at most one for each linear piece, and some bisections

@@ -11,8 +11,9 @@ Theory: piezod/operators/README.md, "Forward chain" and "Implicit inverse: plan 
 
 import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from piezod.arrays import Array
 from piezod.operators.compiled_cache import forget_outdated_steps
 from piezod.operators.dead_zone import check_dead_zone, dead_zone_run, dead_zone_step, inverse_dead_zone
 from piezod.operators.play import (
@@ -23,8 +24,6 @@ from piezod.operators.play import (
     play_step,
     play_value,
 )
-
-Array = NDArray[np.float64]
 
 EPS = 0.01  # smallest partial sum of weights that the inverse accepts (thesis, chapter 6)
 HEADER = 3  # numbers in front of the thresholds of the plays

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.recording import stretches
 from piezod.recording.names import TIME
-from piezod.recording.stretches import Array
 
 if TYPE_CHECKING:
     import pandas as pd

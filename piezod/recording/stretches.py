@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
+
 Stretch = tuple[int, int]
 """Consecutive samples: (number of the first sample, number after the last sample)."""
 

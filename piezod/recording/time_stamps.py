@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.recording.stretches import Array
+from piezod.arrays import Array
 
 FEWEST = 16
 """Samples of a block in which repeated stamps can be understood; in fewer they are an error."""

@@ -5,8 +5,8 @@ import html
 import numpy as np
 from bokeh.models import CustomJSTickFormatter
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.recordings.noise import Noise
 from piezod.excitation import IDENTIFICATION
 from piezod.identify.step_response import StepResponse, step_response
@@ -16,8 +16,6 @@ from piezod.report.figures.layout import finish_figure
 from piezod.report.figures.tones import Tone, find_tones
 from piezod.report.page import Part
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
-
-Array = NDArray[np.float64]
 
 MOST_MISSING = 0.05  # share of missing samples up to which a spectrum of the filled record is drawn
 HEIGHT = 280  # [px]

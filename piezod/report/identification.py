@@ -6,9 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
 from piezod.diagnose.verdict.words import unit_words
 from piezod.identify.identification import Identification
@@ -22,8 +20,6 @@ from piezod.report.figures.thinning import robust_range
 from piezod.report.next_step import NextStep, after_identify
 from piezod.report.page import Part, axis_label, head_html, next_step_html, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
-
-Array = NDArray[np.float64]
 
 START_WINDOW = 2000  # samples at the start that estimate the initial state of a recording
 

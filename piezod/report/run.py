@@ -10,6 +10,7 @@ from bokeh.models import ColumnDataSource
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.control import CAUSE_TEXT, Cause, State
 from piezod.errors import RecordingError
 from piezod.recording import Recording
@@ -20,8 +21,6 @@ from piezod.report.next_step import NextStep, after_report
 from piezod.report.page import Part, axis_label, head_html, next_step_html, table_html, write_page
 from piezod.report.run_facts import drifted_at, fact_rows, share_text
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
-
-Array = NDArray[np.float64]
 
 POINTS = 4000  # of a drawn curve
 MOST_TRANSITIONS = 200  # of the table

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.control import State
 from piezod.errors import RecordingError
 from piezod.recording import Recording, read_recording
 from piezod.transport.link import ExchangeResult
-
-Array = NDArray[np.float64]
 
 OUTLIER = 5.0
 """Multiple of the rms error above which the largest error is an outlier: of 1e6 normal values one is larger."""

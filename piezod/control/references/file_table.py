@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.config.reference import FileReference
 from piezod.config.reference_range import ReferenceRange
 from piezod.control.references.file_times import check_gaps, tick_positions
@@ -14,8 +14,6 @@ from piezod.errors import ConfigurationError, RecordingError
 from piezod.recording import StrictTable, read_strict_csv
 from piezod.recording.names import unit_of
 from piezod.recording.quantities import UNITS
-
-Array = NDArray[np.float64]
 
 EQUAL = 1e-12
 """Difference of first and last row that counts as none [share of the range]: the error of a computed period."""

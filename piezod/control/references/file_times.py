@@ -1,12 +1,10 @@
 """Times of a file that drives a bench, in ticks: exact number of ticks, and no gap between two rows."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import ConfigurationError
 from piezod.recording import StrictTable
-
-Array = NDArray[np.float64]
 
 GAP = 10.0
 """Longest step between two rows [median steps]. A file with a longer one lacks rows, or has two rates."""

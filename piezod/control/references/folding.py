@@ -1,9 +1,8 @@
 """Content of a file above half the tick rate. Sampled at the ticks it would appear at a lower frequency (aliasing)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
 
 CUTOFF = 0.53
 """Cutoff of the low-pass filter [cycles per tick]; its transition of 0.06 then begins at one half."""

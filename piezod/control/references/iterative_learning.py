@@ -25,7 +25,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
+
 Spectrum = NDArray[np.complex128]
 
 OBSERVED = 2

@@ -14,7 +14,7 @@ from collections.abc import MutableSequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
 
 HEAD_CELLS = 4
 _USED, _OFFERED, _EXCHANGED, _FIRST = range(HEAD_CELLS)

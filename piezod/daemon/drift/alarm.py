@@ -16,9 +16,8 @@ wasted by overshoot. Source: Fischer, Ramdas, arXiv:2410.16076, section 3.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
 
 STAKE = 0.2
 """Power k of the payoff k p^(k-1) of a rank p. With 0.2 a jump above 60 blocks pays 27 times, so five blocks suffice

@@ -5,9 +5,8 @@ from math import floor, isfinite, log2, nan, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
 
 PARTS = 4  # of the model's input range, for the ends of what a block drives
 SLOWEST = 1e-3  # rate that counts as rest [input ranges per s]

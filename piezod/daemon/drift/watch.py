@@ -28,8 +28,6 @@ from piezod.recording.ticks import GOOD, pair_rows
 from piezod.runtime import clock, threads
 from piezod.session.history import is_tracking
 
-Array = NDArray[np.float64]
-
 LIMIT_IN_MODEL_ERRORS = 3.0
 """Default limit, as a multiple of the held-out rms error of the model."""
 LIMIT_IN_RANGES = 0.01

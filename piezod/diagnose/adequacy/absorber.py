@@ -15,14 +15,11 @@ from typing import Literal
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array, Mask
 from piezod.diagnose.localisation import coordinates
 from piezod.estimation.recordings.series import Series
 from piezod.operators.play import play_states_run
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 FORCE_KNOTS, RATE_KNOTS, WAY_KNOTS = 10, 7, 7
 LOW_PASSES, HEAT_LOW_PASSES, DIRECTION_LOW_PASSES = 12, 6, 5

@@ -7,17 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array, Mask
 from piezod.diagnose.adequacy.absorber import Columns, Event
 from piezod.diagnose.adequacy.ridge import BlockPrediction, Blocks, predicted_blocks
 from piezod.diagnose.localisation import colour, events
 from piezod.diagnose.localisation.cells import NormalisedResidual
 from piezod.estimation.recordings.noise import noise_of_input
 from piezod.estimation.recordings.series import BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS, Series
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SIGNIFICANT = 0.05  # largest p-value at which the prediction is subtracted before tones, jumps and bursts are sought
 GAP = 0.05  # share of a block at either end that is not used: neighbouring samples are not independent

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
 
 WINDOW_S, FEWEST_IN_WINDOW = 0.25, 20  # length of a window [s], at least so many samples
 FEWEST_WINDOWS, FEWEST_QUIET = 30, 6  # windows for a test, and windows at rest for its reference

@@ -3,11 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
+from piezod.arrays import Array, Index, Mask
 
 STRENGTHS = (1e-8, 1e-6, 1e-4, 1e-2, 1.0)  # penalties, relative to the variance of a column
 FOLDS = 8

@@ -8,13 +8,11 @@ residual's power grows with the distance of the force from some level. Derived h
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.findings import Unrecorded
 from piezod.estimation.recordings.noise import white_noise
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
 
 MOST_PREDICTED = 0.3  # largest share of the residual that the drive predicts; with more, an effect is missing
 SLOW = 4.0  # least ratio of the residual's rms to its fast part; AR(1) with a coefficient of 0.97 has this ratio

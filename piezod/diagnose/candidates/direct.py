@@ -4,11 +4,9 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
 
 LINE_OVER_MEDIAN = 30.0  # least power of a line over the median around it; noise reaches 18 in 1e6 bins
 PEAK_PARTS_S = (4.0, 0.5, 0.25)  # lengths of the averaged parts of a recording

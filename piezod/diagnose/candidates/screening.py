@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.candidates.direct import peaks_Hz, skew_ppm
 from piezod.diagnose.candidates.starts import (
     Candidate,
@@ -28,8 +29,6 @@ from piezod.diagnose.hypothesis.terms import Point, Scope, Term
 from piezod.diagnose.rules import RULES
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect
-
-Array = NDArray[np.float64]
 
 PAIR_GAIN = 1.1  # least gain of a pair over the best single gain
 PAIRS = 40  # best pairs by the gain in all data, whose left-out losses are computed

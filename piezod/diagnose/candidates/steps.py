@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array, Index
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.estimation.recordings.noise import MEDIAN_SPREAD
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 NEVER_S = 1e7  # end of a step that stays
 CELLS = 400  # cells of a recording whose edges are tried first

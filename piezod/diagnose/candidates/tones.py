@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.candidates.direct import Line, lines
 from piezod.diagnose.candidates.starts import within_ranges
 from piezod.effects import EFFECTS, mains_hum, vibration
 from piezod.effects.mains_hum import HARMONICS
 from piezod.estimation.recordings.series import Series
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 HUM, VIBRATION = mains_hum.EFFECT.name, vibration.EFFECT.name  # the effects that this test finds

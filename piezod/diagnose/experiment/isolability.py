@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.candidates.starts import DIRECT, Start, catalogue_starts, parts_of, recorded_channels
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
@@ -26,7 +27,6 @@ from piezod.estimation.recordings.preparation import prepared
 from piezod.estimation.recordings.sources import Source
 from piezod.model import Model
 
-Array = NDArray[np.float64]
 Places = NDArray[np.intp]
 Settings = Mapping[str, Setting]
 """Fitted parameters and choices of effects and their rivals, by name."""

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.experiment.isolability import Isolability, Pair, Settings, isolability, separated_by
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.effects import EFFECTS
@@ -19,8 +19,6 @@ from piezod.estimation.recordings.sources import Source
 from piezod.excitation import multisine, staircase, steps, triangle
 from piezod.model import Model, run_chain
 from piezod.recording import Recording
-
-Array = NDArray[np.float64]
 
 INNER = 0.98  # share of the range of the recordings that is driven
 NOT_SEPARATED = 1e6  # separable size of a pair with an invisible effect [noise rms]

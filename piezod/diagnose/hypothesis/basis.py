@@ -14,10 +14,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.operators.compiled_cache import forget_outdated_steps
 from piezod.operators.play import next_state
-
-Array = NDArray[np.float64]
 
 PLAYS = 56
 HATS = 14

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.basis import ForceLaw, PlayDensity
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.effects import EFFECTS
@@ -23,8 +23,6 @@ from piezod.model.chain.cache import Cache, Key
 from piezod.model.chain.forward import Acting, amplified, as_sampled, behind, through, widening
 from piezod.model.chain.sensitivities import Linearised, linearised, unlike_signal
 from piezod.recording.hold import Hold
-
-Array = NDArray[np.float64]
 
 MOST_ROWS = 25_000
 CACHED, CACHED_WHEN_LONG = 4, 1  # results of each kind that are cached for a recording

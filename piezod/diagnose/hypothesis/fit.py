@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.basis import HATS, SPLINES
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.layout import Layout, scaled, step_of, unscaled
 from piezod.diagnose.hypothesis.terms import Point, Term
-
-Array = NDArray[np.float64]
 
 MOST_STEPS = 14
 REUSES, MOST_FALL = 2, 0.3  # tangents serve for two further steps while a step lowers the loss by less than 30 %

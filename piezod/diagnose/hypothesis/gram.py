@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.fit import Normal, solved, thinned
-
-Array = NDArray[np.float64]
 
 INDEPENDENT = 1e-6  # least share of a column's square that the fitted parameters do not follow
 INDEPENDENT_PAIR = 1e-4  # least share of a column's square that another column does not follow either

@@ -4,14 +4,12 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.basis import HATS, SPLINES
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.effects.parameter import Parameter
-
-Array = NDArray[np.float64]
 
 LAW_WITHIN = 0.02  # [force range] prior width of a part of the force law
 LAW_BENDS = 0.02  # [force range] prior width of a second difference of the force law

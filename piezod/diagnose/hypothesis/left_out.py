@@ -1,11 +1,9 @@
 """Errors of estimates, from the changes when one block after the other is left out."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.fit import Normal, solved
-
-Array = NDArray[np.float64]
 
 INTERVAL_FACTOR, FORM_ERROR = 2.0, 0.015
 """Factor on the errors that left-out blocks give, and relative error of the effect's form, added in squares.

@@ -4,16 +4,14 @@ Each damped Gauss-Newton step is a quadratic program in which every slope of the
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import DONE, FIRST_DAMPING, MOST_DAMPING, Fitted, Normal
 from piezod.diagnose.hypothesis.layout import Layout
 from piezod.errors import RecordingError
 from piezod.estimation.fit.quadratic_program import Constraints, solve_step
 from piezod.operators import EPS
-
-Array = NDArray[np.float64]
 
 STEPS = 80
 SMALLEST_SLOPE = 5.0 * EPS  # of the loading curve [1]

@@ -4,17 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.estimation.recordings.start import CLEARLY, START_WINDOW_S, loss_of_start, start_at_zero, starts_at_rest
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
-
-Array = NDArray[np.float64]
 
 HELD_PARTS = (0.3, 0.7)  # [samples] from the command to the reading: where the search of that time begins
 SMALLEST_PART = 0.04  # [samples] where it ends

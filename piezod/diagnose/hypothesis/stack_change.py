@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.sampling import fit_from_each, with_usual_start
 from piezod.diagnose.hypothesis.terms import Point, Term
-from piezod.effects.effect import Array, Context, Effect, Location, Values, unchanged
+from piezod.effects.effect import Context, Effect, Location, Values, unchanged
 from piezod.effects.parameter import Parameter, Search
 
 STROKE, FORCE = 0.0, 1.0  # what the gain scales

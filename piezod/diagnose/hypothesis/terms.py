@@ -4,13 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from piezod.arrays import Array
 from piezod.effects import Effect
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
 
 Scope = Literal["already", "since", "once"]
 

@@ -4,13 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array, Index, Mask
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 LEAST_WIDTH = 1e-6  # least distance of two edges, relative to the range; nearer ones differ by rounding
 MOST_REFERENCES, MOST_NUMBERS = 20, 4_000_000  # references computed at once, and numbers in them: limits the memory

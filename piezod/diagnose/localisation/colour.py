@@ -6,10 +6,9 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.localisation import coordinates
 from piezod.estimation.recordings.noise import MEDIAN_SPREAD
-
-Array = NDArray[np.float64]
 
 ORDER = 12  # order of the autoregression
 SHORTEST_STRETCH, MOST_STRETCHES = 1000, 24  # samples in a stretch and stretches for the autoregression

@@ -4,7 +4,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
+
 Places = NDArray[np.int64]
 
 LARGEST_DEAD_BAND = 0.002  # upper limit of the dead band for reversals, relative to the range of the command

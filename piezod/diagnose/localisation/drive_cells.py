@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array, Index, Mask
 from piezod.diagnose.localisation import colour, coordinates
 from piezod.diagnose.localisation.cells import (
     Cells,
@@ -21,10 +22,6 @@ from piezod.diagnose.localisation.cells import (
     references_at_once,
     standardised,
 )
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
 
 DRIVE_CELLS = 24
 TAIL = (0.98, 0.99, 0.996)  # quantiles at which the highest cell is divided

@@ -3,12 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array, Mask
 from piezod.diagnose.localisation import colour
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SIGNIFICANT = 1e-3  # family-wise probability with which noise shows a tone, a jump or a burst
 MOST_TONES, MOST_JUMPS = 6, 4

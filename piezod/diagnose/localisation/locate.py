@@ -13,18 +13,14 @@ a false place at 5 % (P. Westfall and S. Young (1993), Resampling-Based Multiple
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array, Index, Mask
 from piezod.diagnose.candidates.direct import lines
 from piezod.diagnose.findings import Place
 from piezod.diagnose.localisation.cells import Cells, NormalisedResidual
 from piezod.diagnose.localisation.drive_cells import cells_of_drive
 from piezod.diagnose.localisation.time_cells import cells_of_lines, cells_of_time_and_temperature
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
 
 LEVEL = 0.05  # family-wise probability of a false place
 LINE_DISTANCE_HZ = 0.1  # distance below which lines of two recordings are one line

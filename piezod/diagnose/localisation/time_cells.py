@@ -10,13 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array, Index
 from piezod.diagnose.localisation import colour, coordinates
 from piezod.diagnose.localisation.cells import Cells, NormalisedResidual, distinct, references_at_once
 from piezod.estimation.recordings.noise import MEDIAN_SPREAD
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 FEWEST_TIME_CELLS, TIME_CELLS, FINE_CELLS = 12, 48, 480
 CORRELATION_LENGTHS = 16.0  # least length of a time cell, so that cells are nearly independent

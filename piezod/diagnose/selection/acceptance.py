@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.steps import JUMP_S, Step, has_clear_edges, shown_late_s
 from piezod.diagnose.hypothesis.chain import Chain
@@ -12,8 +11,6 @@ from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.record import record_of
 from piezod.diagnose.rules import RULES
 from piezod.effects import EFFECTS
-
-Array = NDArray[np.float64]
 
 SMALLEST_CHANGE, FEWEST_BLOCKS = 1e-3, 4  # blocks whose logarithmic loss changes, and how many a steadiness needs
 

@@ -9,14 +9,12 @@ plays and one of kinks, whose sizes later hypotheses refit.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.chain import LONG, Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit, solved
 from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.terms import Point
-
-Array = NDArray[np.float64]
 
 PLAYS, KINKS = 64, 48  # size of the first grids
 DENSER_NEAR_ZERO = 1.5  # exponent of the grid of thresholds

@@ -11,11 +11,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.model.unnamed_law import Driver
-
-Array = NDArray[np.float64]
 
 PARTS = tuple(float(part) for part in np.geomspace(0.03, 1.0, 10))
 """Scales of a curved shape that are tried, relative to the largest value of the driver."""

@@ -10,17 +10,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc  # type: ignore[import-untyped]
 
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal
 from piezod.diagnose.hypothesis.layout import scaled, unscaled
 from piezod.diagnose.hypothesis.left_out import FORM_ERROR, covariance, left_out_moves
 from piezod.effects.parameter import Parameter
 from piezod.model.information import Information, marginal
-
-Array = NDArray[np.float64]
 
 DISCOVERIES = 0.05  # largest expected share of unchanged effects among those called changed
 HALF_95 = 1.96  # half of a 95 % interval [standard errors]

@@ -10,13 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.terms import Setting
 from piezod.errors import ConfigurationError
-
-Array = NDArray[np.float64]
 
 SCHEMA = "piezod.replay/1"
 DIGITS = 5  # significant digits in the file

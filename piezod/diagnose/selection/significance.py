@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.findings import Finding
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
@@ -22,8 +23,6 @@ from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 from piezod.effects import EFFECTS
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
 
 STEPS = 6  # Gauss-Newton steps of each fit, which begins at the parameters from all blocks
 FLIPS = 20_000  # draws of random signs; the smallest p-value is 1 / (FLIPS + 1)

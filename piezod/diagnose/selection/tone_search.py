@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.candidates.tones import Tone, reestimated_tones, tones, with_tones, without_tones
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
@@ -14,8 +14,6 @@ from piezod.diagnose.selection.acceptance import worth
 from piezod.diagnose.selection.search_state import Search
 from piezod.estimation.recordings.noise import white_noise_of as noise_of
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
 
 NEAR_A_MODE = 0.05  # relative distance in frequency within which a line is the ringing of a mode
 TRIED = 2  # strongest tones that are tried

@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezod.diagnose.candidates.screening import Estimate, Screening
 from piezod.diagnose.candidates.starts import Candidate, within_ranges
@@ -18,8 +17,6 @@ from piezod.diagnose.hypothesis.terms import Point, Scope, Term
 from piezod.diagnose.selection.acceptance import loss_by_choices
 from piezod.effects import EFFECTS
 from piezod.recording.hold import STRAIGHT
-
-Array = NDArray[np.float64]
 
 STEP = next(name for name, effect in EFFECTS.items() if effect.is_step)
 

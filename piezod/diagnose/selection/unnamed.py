@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.selection.formula import Formula, candidates
 from piezod.diagnose.selection.significance import sign_test_p
@@ -28,8 +29,6 @@ from piezod.model.unnamed_law import (
     lagged,
     positions,
 )
-
-Array = NDArray[np.float64]
 
 Form = tuple[tuple[Driver, ...], bool]
 """Drivers of a law, and whether it is a gain."""

@@ -3,14 +3,13 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.findings import Finding, Place, Value
 from piezod.diagnose.verdict.evidence import finding_about
 from piezod.effects import quantisation, sensor_dropout
 from piezod.estimation.recordings.series import Series
 
-Array = NDArray[np.float64]
 Stretches = Mapping[int, list[tuple[int, int]]]
 
 FROZEN_NOISES = 2.0  # least rms residual of a frozen stretch [noise rms]; a correct model leaves 1

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Base, Finding, Place, Rival, Status, UnchangedEffect, Value
 from piezod.diagnose.hypothesis.left_out import FORM_ERROR, INTERVAL_FACTOR
@@ -22,8 +21,6 @@ from piezod.effects.effect import Effect
 from piezod.effects.noncongruent_minor_loops import DEGREES, shown_by
 from piezod.estimation.recordings.series import Series
 from piezod.model import Model
-
-Array = NDArray[np.float64]
 
 RIVAL_GAIN = 0.8  # least gain of a rival, as a share of the gain of the accepted effect
 NORMAL_95 = 1.96  # half of a 95 % interval [standard errors]

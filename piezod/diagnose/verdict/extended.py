@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.findings import Value
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
@@ -18,8 +18,6 @@ from piezod.estimation.recordings.start import starts_at_rest
 from piezod.model import Model
 from piezod.model.parameters import EffectValues, FitFigures, Hysteresis, Start, Superposition
 from piezod.operators import EPS
-
-Array = NDArray[np.float64]
 
 PIECES = 30  # linear pieces of the force law in the model file
 KINK_CLEARANCE = 1e-2  # share of the stroke range; a regular knot nearer than this to a kink is omitted

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.hypothesis.basis import HATS, SPLINES, ForceLaw
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, solved, thinned
@@ -19,8 +20,6 @@ from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.model import Model
 from piezod.model.base_figures import BaseFigures, base_figures, figures_of_loops, two_loops
 from piezod.model.information import DENSITY, LAW, Information, marginal, packed, rounded
-
-Array = NDArray[np.float64]
 
 ORDER = 4  # of the autoregression
 HALF_95 = 1.96  # half of a 95 % interval [standard errors]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.prepare import as_identified
 from piezod.errors import RecordingError
 from piezod.estimation.recordings.intake import fit_for_simulation
@@ -15,8 +16,6 @@ from piezod.identify.simulation import simulate
 from piezod.model import Model
 from piezod.recording import Recording
 from piezod.recording.stretches import stretches_of
-
-Array = NDArray[np.float64]
 
 START_WINDOW_S = 1.0
 """First part of a recording, which estimates its initial state and is not compared: as in `piezod simulate`."""

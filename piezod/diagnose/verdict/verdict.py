@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.adequacy.guard import Guard
 from piezod.diagnose.adequacy.remainder import Motion
 from piezod.diagnose.candidates.tones import Tone
@@ -23,8 +23,6 @@ from piezod.diagnose.verdict.words import (
 )
 from piezod.estimation.recordings.noise import noise_of, rests
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
 
 MISSING_SHARE = 0.1  # explainable share of the residual above which something is missing
 PARTLY_SHARE = 0.75  # explainable share above which nothing is `explained`: the residual is twice the noise

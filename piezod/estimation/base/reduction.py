@@ -9,14 +9,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.base.smooth_base import Base, base_at
 from piezod.estimation.fit.columns import Samples
 from piezod.estimation.fit.normal_equations import pieces_of, sums_of
 from piezod.estimation.fit.quadratic_program import Constraints, solve_step
-
-Array = NDArray[np.float64]
 
 WORSE = 0.001
 """Growth of the rms error by which the reduction is limited, on the recordings and on random inputs.

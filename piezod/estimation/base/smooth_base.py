@@ -14,14 +14,12 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.fit.columns import Samples, Structure, clocks_of
 from piezod.estimation.fit.gauss_newton import minimise, penalised_step
 from piezod.estimation.fit.normal_equations import GROUPS, Piece, Sums, merged, pieces_of, sums_of
 from piezod.estimation.fit.quadratic_program import Constraints, solve_step
-
-Array = NDArray[np.float64]
 
 WEIGHTS = 10.0 ** np.arange(-9.0, 2.0)
 """Tried weights of the penalties, relative to the trace of the Hessian of the data."""

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
 
 FINER_NEAR_ZERO = 1.5  # exponent of the play thresholds; 1 would be (3.25)
 INSIDE = 0.995  # largest threshold as share of the limit, where a play would move in a single sample only

@@ -17,10 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.operators.dead_zone import dead_zone_columns
 from piezod.operators.play import play_states_run
-
-Array = NDArray[np.float64]
 
 CHUNK = 16_384  # samples; a chunk's columns stay in the cache of a small machine
 

@@ -3,12 +3,10 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.fit.normal_equations import Sums
 from piezod.estimation.fit.quadratic_program import Constraints, solve_step
-
-Array = NDArray[np.float64]
 
 SHORTENED = 0.25
 """Factor by which a step that raises the cost is shortened."""

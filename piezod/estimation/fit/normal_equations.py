@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.fit.columns import CHUNK, PlaySegments, Samples, Structure, clocks_of, zone_segments
-
-Array = NDArray[np.float64]
 
 GROUPS = 8
 """Groups of bands; each is held out once."""

@@ -12,12 +12,11 @@ from typing import Literal, Self
 
 import numpy as np
 import proxsuite
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.estimation.fit.columns import Structure
 
-Array = NDArray[np.float64]
 Variant = Literal["A", "B"]
 
 MOST_ITERATIONS = 60  # ProxQP converges within some tens of steps, or rounding prevents the tolerance

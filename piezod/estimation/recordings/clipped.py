@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.recordings.series import Series
 from piezod.recording.stretches import stretches_of
-
-Array = NDArray[np.float64]
 
 FEWEST = 3  # stretches at an extreme reading that make it a limit: a sensor hardly freezes there repeatedly
 # largest of nine in ten steps of the reading, times this, is a jump: after a freeze the reading jumps to where it

@@ -7,11 +7,9 @@ At this instant a coarse reading is nearly as accurate as a fine one, the more s
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
 
 FINE = 6.0  # step over the noise below which the noise averages the rounding
 REST = 20  # samples in a window in which only the noise may change the reading

@@ -1,13 +1,10 @@
 """Frozen readings: equal readings, or only noise of the electronics, while the force moves."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array, Mask
 from piezod.estimation.recordings.series import Series
 from piezod.recording.stretches import stretches_of
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 FROZEN_SAMPLES = 8  # fewest equal readings in a row; noise hardly repeats a reading so often
 REPEATED = 0.05  # share of repeated readings below which noise prevents long runs of equal readings

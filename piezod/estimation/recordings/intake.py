@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError, UsageError
 from piezod.estimation.recordings.layout import entry_of
 from piezod.estimation.recordings.quality import describe_missing, describe_stuck, describe_timing
@@ -27,7 +27,6 @@ from piezod.recording.formats.repairs import repair_notes
 from piezod.recording.formats.stream import GrowingColumn
 from piezod.recording.stretches import gaps
 
-Array = NDArray[np.float64]
 OnStep = Callable[[str, float | None], None]
 
 CHUNK = 2**20

@@ -11,9 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.recordings.start import wipe_out_sample
-
-Array = NDArray[np.float64]
 
 SAME_INPUT = 0.3  # largest share of the output's differences that may come from differences of the input
 SAME_COURSE = 0.01  # largest rms difference of the input between repetitions, as share of its range

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.estimation.recordings.chosen_samples import where
 from piezod.estimation.recordings.clipped import clipped_note, clipped_stretches
@@ -30,8 +31,6 @@ from piezod.estimation.recordings.unknown_past import unknown_past
 from piezod.model import Model
 from piezod.recording import Hold, Recording
 from piezod.recording.stretches import stretches_of
-
-Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 500  # a shorter recording has too few samples for the blocks that are left out
 UNEVEN = 0.01  # largest relative deviation of a time step; beyond it the recording is resampled

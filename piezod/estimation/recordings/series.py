@@ -7,10 +7,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array, Mask
 from piezod.recording.hold import STRAIGHT, Hold
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Role = Literal["identification", "recording"]
 
 BLOCK_S = 2.0

@@ -12,10 +12,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import ModelError, RecordingError
 from piezod.operators import PrandtlIshlinskii
 
-Array = NDArray[np.float64]
 Path = tuple[float, ...]
 
 AT_REST = 0.02  # share of the input's swing around zero that counts as a drive at zero

@@ -14,11 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array, Mask
 from piezod.estimation.recordings.noise import white_noise
 from piezod.recording.recording import Recording
-from piezod.recording.stretches import BLOCK, Array, stretches_of
-
-Mask = NDArray[np.bool_]
+from piezod.recording.stretches import BLOCK, stretches_of
 
 LARGEST = 1e30
 """Magnitude beyond which a value is infinite, or stands for a missing sample: 9.97e36, 3.4e38."""

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.recordings.noise import white_noise
-from piezod.recording.stretches import Array, Stretch, long_runs, pairs
+from piezod.recording.stretches import Stretch, long_runs, pairs
 
 SHORTEST = 5
 """Shortest run that is tested [samples]; a shorter one does not affect a fit."""

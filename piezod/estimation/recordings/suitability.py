@@ -6,14 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.estimation.recordings.noise import white_noise
 from piezod.operators.play import play_states_run
 from piezod.recording import Recording
 from piezod.recording.names import unit_of
 from piezod.recording.quantities import UNITS
-
-Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 100
 ADVICE = "record triangles from 0 over the whole range (piezod record --excitation varying-triangles)"

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.operators import PrandtlIshlinskii
-
-Array = NDArray[np.float64]
 
 PIECES, MOST_PIECES = 8, 16  # straight pieces over the swept range; they also end where its other end begins to grow
 SHORTEST = 0.25  # shortest piece, as share of an equal piece

@@ -9,16 +9,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.effects import Context, Effect, Location
 from piezod.model.chain.acting import acting_in
 from piezod.model.parameters import Model
 from piezod.model.unnamed_law import LawStep
 from piezod.operators import PrandtlIshlinskii
 from piezod.recording.hold import HELD_BEFORE, STRAIGHT, Hold
-
-Array = NDArray[np.float64]
 
 Acting = Sequence[tuple[Effect, Mapping[str, float]]]
 """Effects with their parameter values, in the order of the signal chain."""

@@ -4,12 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.effects.effect import Context, Effect
 from piezod.model.chain.forward import behind
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,9 @@ on the expected reading only.
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezod.effects import EFFECTS, Location
 from piezod.effects.tick import SHARED, Tick, TickSetting
@@ -44,7 +43,8 @@ from piezod.operators import ImplicitInverse
 from piezod.operators.compiled_cache import forget_outdated_steps
 from piezod.recording.hold import HELD_ONE_SAMPLE, STRAIGHT, Hold
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from piezod.arrays import Array
 
 _STAGES = {Location.AMPLIFIER: AMPLIFIER, Location.HYSTERESIS: HYSTERESIS, Location.STACK: STACK}
 

@@ -14,13 +14,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.effects.tick import SHARED
 from piezod.model.chain.compiled_steps import call_step
 from piezod.operators.dead_zone import dead_zone_step
 from piezod.operators.play import play_solve, play_step, play_value, play_wider_solve, play_wider_step
 from piezod.operators.prandtl_ishlinskii import HEADER
 
-Array = NDArray[np.float64]
 Program = NDArray[np.int64]
 
 AMPLIFIER, HYSTERESIS, STACK, FORCE, READING, FOLLOWED, MEASURED = range(7)

@@ -1,11 +1,9 @@
 """Change between winter and summer time in local time stamps."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.recording.formats.text_cells import DAY_S
-
-Array = NDArray[np.float64]
 
 CHANGE_S = 3600.0
 WITHIN_STEPS = 5.0

@@ -16,13 +16,14 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import import_library, replaced_file
 from piezod.recording.formats.hdf5 import stream_of, vectors_of
 from piezod.recording.formats.hdf5_heap import check_heaps
 from piezod.recording.formats.mat5 import NUMBERS, Variable, read_fields, read_numbers, read_text, read_variables
 from piezod.recording.formats.named_columns import Raw, Stored, named_stream
-from piezod.recording.formats.stream import Array, RecordingStream, check_claimed_size, skipped_parts
+from piezod.recording.formats.stream import RecordingStream, check_claimed_size, skipped_parts
 from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.names import TIME
 from piezod.recording.recording import Recording

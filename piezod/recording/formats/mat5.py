@@ -16,7 +16,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from piezod.recording.formats.stream import Array
+from piezod.arrays import Array
 
 HEADER = 128
 """Size of the file's header [bytes]."""

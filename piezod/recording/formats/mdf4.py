@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import import_library, replaced_file
 from piezod.recording.formats.mdf4_blocks import check_blocks
 from piezod.recording.formats.named_columns import Raw, Stored, named_stream
-from piezod.recording.formats.stream import Array, RecordingStream, common_length, skipped_parts
+from piezod.recording.formats.stream import RecordingStream, common_length, skipped_parts
 from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.names import TIME, channel_name, unit_of
 from piezod.recording.recording import Recording

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
-from piezod.recording.formats.stream import Array, RecordingStream, Table, common_length, skipped_parts
+from piezod.recording.formats.stream import RecordingStream, Table, common_length, skipped_parts
 from piezod.recording.formats.text_head import chosen_columns, is_serial_day, unit_since_1970
 from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.names import TIME, channel_name, name_columns

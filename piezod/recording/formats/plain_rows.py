@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from piezod.recording.formats.stream import Array
+from piezod.arrays import Array
 
 Parser = Callable[[bytes], Array]
 

@@ -5,14 +5,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.recording.names import TIME
 from piezod.recording.recording import Recording
 from piezod.recording.time_stamps import TimeStamps
 
-Array = NDArray[np.float64]
 Table = dict[str, Array]
 """Column name to values; all values of a table have equal lengths."""
 

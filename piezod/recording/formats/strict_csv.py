@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.config.reference import MOST_BYTES
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import library_errors, open_file
 from piezod.recording.names import TIME, channel_name, name_columns
-from piezod.recording.stretches import Array
 
 _NUMBER = r"[ \t]*[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?[ \t]*"
 _CELL = re.compile(_NUMBER)

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import import_library, replaced_file
 from piezod.recording.formats.named_columns import Raw, Stored, named_stream
-from piezod.recording.formats.stream import Array, RecordingStream, chunk_ranges, skipped_parts
+from piezod.recording.formats.stream import RecordingStream, chunk_ranges, skipped_parts
 from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.names import TIME, unit_of
 from piezod.recording.recording import Recording

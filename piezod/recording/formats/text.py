@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
+from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import library_errors
 from piezod.recording.formats.clock_change import ClockChange
 from piezod.recording.formats.csv import own_layout
 from piezod.recording.formats.plain_rows import row_parser
 from piezod.recording.formats.repairs import COMMENT, CUT_LINE, EXTRA, HEADER, SUMMARY, ZEROS, Repairs, is_missing
-from piezod.recording.formats.stream import MOST_VALUES, Array, RecordingStream, Table, increasing, read_all
+from piezod.recording.formats.stream import MOST_VALUES, RecordingStream, Table, increasing, read_all
 from piezod.recording.formats.text_cells import (
     COMMENTS,
     ZONE,

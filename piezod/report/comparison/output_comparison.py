@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import UsageError
 from piezod.estimation.recordings.intake import load_for_simulation
 from piezod.estimation.recordings.noise import noise_of
@@ -14,8 +14,6 @@ from piezod.identify.simulation import Agreement, simulate_recording
 from piezod.model import Model, load_model
 from piezod.recording import Recording, read_recording
 from piezod.report.ranking import Score
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

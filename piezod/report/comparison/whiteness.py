@@ -5,13 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.errors import UsageError
 from piezod.identify.scores import rms
 from piezod.identify.simulation import simulate
 from piezod.model import Model
 from piezod.recording import Recording
-
-Array = NDArray[np.float64]
 
 LAGS = 25  # MATLAB's default
 DEVIATIONS_99 = 2.58  # 99 % of a normal variable lie within this many standard deviations, as MATLAB rounds it

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from bokeh.models.annotations import BoxAnnotation
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.verdict.words import unit_words
 from piezod.recording import Recording
 from piezod.report.comparison.whiteness import WhitenessTest
@@ -17,8 +17,6 @@ from piezod.report.figures.thinning import envelope, envelope_times
 from piezod.report.next_step import NextStep
 from piezod.report.page import Part, head_html, next_step_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
-
-Array = NDArray[np.float64]
 
 POINTS = 3000  # of a drawn curve
 

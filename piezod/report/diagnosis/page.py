@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from bokeh.model import Model
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
 from piezod import __version__
+from piezod.arrays import Array
 from piezod.diagnose.findings import Place
 from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.localisation.locate import locate
@@ -28,8 +28,6 @@ from piezod.report.diagnosis.residual.views import views
 from piezod.report.diagnosis.wording import headline, law_sentence
 from piezod.report.next_step import NextStep
 from piezod.report.page import fold_html, next_step_html, placeholder, write_html, write_text
-
-Array = NDArray[np.float64]
 
 FIGURES = "figures"  # folder of the CSV files, in the folder of the page
 MOST_SHOWN = 3  # recordings with figures of their own; the tables contain all recordings

@@ -7,7 +7,7 @@ import numpy as np
 from bokeh.models import Range1d
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
 
 SHOWN = 0.998  # quantile of the residuals that an axis shows at least
 MARGIN = 0.5  # room beyond that quantile, relative to the shown range

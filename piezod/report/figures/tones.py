@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
 
 FALSE_TONES = 0.01  # expected number of lines in noise alone, in the whole spectrum
 SURROUNDINGS, OWN = 12, 2  # bins on each side whose median is the background; bins on each side of a Hann line

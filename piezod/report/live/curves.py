@@ -5,11 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.control import State
 from piezod.recording.ticks import GOOD, pair_rows
 from piezod.report.figures.thinning import envelope, envelope_times
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.void]
 
 OVER_TIME = ("time_ms", "reference_N", "force_N", "error_N", "voltage_V")

@@ -12,8 +12,8 @@ from typing import Any, Protocol
 import numpy as np
 from bokeh.models import Range1d
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.estimation.recordings.noise import noise_of
 from piezod.identify.scores import max_hysteresis_percent
 from piezod.recording import Recording
@@ -24,8 +24,6 @@ from piezod.report.ranking import Score, best_of, gain_text, in_noises
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 from piezod.report.text_table import column_widths, text_table
 from piezod.report.tracking.tracking_errors import FigureKey, SessionOutcome, TrackingFigures, tracking_figures
-
-Array = NDArray[np.float64]
 
 MODEL_COLOURS = (BLUE, GREEN, RED, GREY)
 

@@ -8,14 +8,13 @@ import numpy as np
 from bokeh.models import ColumnDataSource, CustomJSTickFormatter, HoverTool
 from bokeh.models.annotations import Band, BoxAnnotation, Span
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.findings import Place
 from piezod.report.diagnosis.residual.residuals import Residuals
 from piezod.report.figures.layout import apply_layout
 from piezod.report.style import BLUE, ORANGE, RED
 
-Array = NDArray[np.float64]
 Columns = dict[str, Array]
 Axis = Literal["linear", "log"]
 

@@ -2,14 +2,12 @@
 
 import numpy as np
 from bokeh.plotting import figure
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.verdict.words import rounded
 from piezod.model.unnamed_law import Axis, UnnamedLaw, node_values
 from piezod.report.diagnosis.figures.drawing import column_source, draw_curve, finish, new_figure
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
-
-Array = NDArray[np.float64]
 
 COLOURS = (BLUE, ORANGE, GREEN, RED, GREY)
 LABELS = {

@@ -9,12 +9,12 @@ from bokeh.models.glyphs import Image
 from bokeh.palettes import interp_palette
 from bokeh.plotting import figure
 
+from piezod.arrays import Array
 from piezod.diagnose.findings import Place
 from piezod.report.diagnosis.figures.drawing import (
     DECIMAL_TICKS,
     EXTENDED,
     GIVEN,
-    Array,
     Columns,
     column_source,
     draw_curve,

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.localisation import coordinates
 from piezod.report.diagnosis.residual.residuals import Residuals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

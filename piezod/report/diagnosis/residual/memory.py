@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.localisation import coordinates
 from piezod.report.diagnosis.residual.residuals import Residuals
-
-Array = NDArray[np.float64]
 
 TIME_CONSTANTS = 14  # of the low-passes whose differences are the bands
 SHORTEST_SAMPLES, LONGEST_SHARE = 8.0, 0.3  # range of the time constants: samples; share of the longest recording

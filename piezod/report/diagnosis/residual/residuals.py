@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from piezod.arrays import Array
 from piezod.diagnose.findings import Place
 from piezod.estimation.recordings.series import Series
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

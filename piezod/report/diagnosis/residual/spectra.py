@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezod.arrays import Array
 
 COLUMNS, ROWS = 120, 96  # at most, of a map
 SHORTEST, LONGEST = 64, 4096  # length of a window [samples]

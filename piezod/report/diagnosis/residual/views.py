@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezod.arrays import Array, Mask
 from piezod.diagnose.localisation import coordinates
 from piezod.report.diagnosis.residual.drivers import Driver, drivers, time_driver
 from piezod.report.diagnosis.residual.residuals import Residuals
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 CELLS = 40  # of a view, at most
 FEWEST = 8  # readings of a cell that is shown
