@@ -98,11 +98,11 @@ class DeviceGuard:
         if count == 0:
             self._due_ns = done_ns + TURN_NS
             return
-        left_ns = self._clock.time_left_ns()
+        free_ns = self._clock.time_left_ns()
         overdue = done_ns - self._due_ns > OVERDUE_NS // count
-        if left_ns < (done_ns - begun_ns) * 5 // 4 + MARGIN_NS and not overdue:
+        if free_ns < (done_ns - begun_ns) * 5 // 4 + MARGIN_NS and not overdue:
             return
-        self._read(inf if overdue or left_ns >= NO_DEADLINE_NS else 1e-9 * left_ns, TURN_NS // count, done_ns)
+        self._read(inf if overdue or free_ns >= NO_DEADLINE_NS else 1e-9 * free_ns, TURN_NS // count, done_ns)
 
     def compare_command(self) -> int:
         """Halfway to the next tick, compare the command of the device with the last one written, when that is due.
@@ -118,12 +118,12 @@ class DeviceGuard:
         if not self._supervisor.driving or not self._compared_ns:
             self._compared_ns = now_ns
             return _OK
-        needed_ns, left_ns = exchange_ns * 5 // 4 + MARGIN_NS, self._clock.time_left_ns()
+        needed_ns, free_ns = exchange_ns * 5 // 4 + MARGIN_NS, self._clock.time_left_ns()
         overdue = now_ns - self._compared_ns > OVERDUE_NS
-        if not exchange_ns or (left_ns < needed_ns and not overdue):
+        if not exchange_ns or (free_ns < needed_ns and not overdue):
             return _OK
-        if left_ns < NO_DEADLINE_NS:
-            self._clock.wait_until_left(max(needed_ns, left_ns // 2))  # half of it is left for a late wake-up
+        if free_ns < NO_DEADLINE_NS:
+            self._clock.wait_until_left(max(needed_ns, free_ns // 2))  # half of it remains for a late wake-up
             if self._clock.time_left_ns() < needed_ns and not overdue:
                 return _OK
         result = self._link.compare_command()

@@ -45,7 +45,7 @@ def diagnose_files(
     output
         Folder; created if missing.
     input_column, output_column
-        Columns; None: those of the model.
+        Columns; None: the columns of the model.
     on_step
         Called with the current step, and the share of the work done if known.
     hold_out

@@ -29,7 +29,7 @@ class Rules:
     most_effects
         Largest number of new effects.
     at_noise
-        Loss at which nothing is left to find; 5 % is the scatter of a noise estimate from a few hundred samples.
+        Loss at which the search ends; 5 % is the scatter of a noise estimate from a few hundred samples.
     stack_alone
         Share of the loss that a change of the stack may leave to be taken before any effect: a new effect may do the
         same.

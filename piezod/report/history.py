@@ -83,7 +83,7 @@ def write_history_page(path: Path, timeline: Timeline, words: str | None = None,
     Parameters
     ----------
     words
-        Verdict; None: that of the models.
+        Verdict; None: the verdict of the models.
     recordings
         HTML on the recordings of the bench, behind the table of the models.
 

@@ -132,15 +132,17 @@ def read_key(text: str) -> bytes:
     path = Path(text.replace("$CREDENTIALS_DIRECTORY", folder or "", 1))
     try:
         with path.open("rb") as file:
-            found, content = os.fstat(file.fileno()), file.read(4096)
+            status, content = os.fstat(file.fileno()), file.read(4096)
     except OSError as error:
         raise ConfigurationError(f"{name}: {path} cannot be read: {error.strerror}") from error
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         raise ConfigurationError(f"{name}: {path} is not a regular file")
-    if found.st_mode & 0o037:
-        raise ConfigurationError(f"{name}: {path} has mode {found.st_mode & 0o777:04o}, must be 0640 or less; chmod it")
-    if found.st_uid not in (0, os.geteuid()):
-        raise ConfigurationError(f"{name}: {path} belongs to user {found.st_uid}, must belong to root or the daemon")
+    if status.st_mode & 0o037:
+        raise ConfigurationError(
+            f"{name}: {path} has mode {status.st_mode & 0o777:04o}, must be 0640 or less; chmod it"
+        )
+    if status.st_uid not in (0, os.geteuid()):
+        raise ConfigurationError(f"{name}: {path} belongs to user {status.st_uid}, must belong to root or the daemon")
     try:
         key = bytes.fromhex(content.decode("ascii").strip())
     except ValueError:

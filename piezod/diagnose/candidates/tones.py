@@ -61,7 +61,7 @@ def with_tones(series: Sequence[Series], added: Sequence[Tone]) -> list[Series]:
 
 
 def tones(series: Sequence[Series], residuals: Sequence[Array], known: Sequence[Tone]) -> list[list[Tone]]:
-    """Tones of the diagnosed recordings, grouped by machine, those with the most power first.
+    """Tones of the diagnosed recordings, grouped by machine, the most powerful first.
 
     A group also contains the tones of its machine in the identification recordings, which must be subtracted too.
 

@@ -101,7 +101,7 @@ def next_experiment(
 def _chosen(
     known: Array, information: Sequence[Array], sizes: Sequence[int], dt_s: float, available_s: float
 ) -> list[int]:
-    """Numbers of the segments, rising: those with the largest gain per sample, as long as time is available."""
+    """Numbers of the segments with the largest gain per sample, rising, as long as time is available."""
     chosen: list[int] = []
     total = known
     while True:

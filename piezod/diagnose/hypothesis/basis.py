@@ -124,7 +124,7 @@ class PlayDensity:
 
     @functools.cached_property
     def _laid_out(self) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-        """Thresholds and both weights of the plays, five between two hats, then those of further columns.
+        """Thresholds and both weights of the plays, five between two hats, then the values of further columns.
 
         Unused places have the weight 0. In a further column the first weight counts. The last array holds the first
         place of each further column, shape (further columns + 1,).

@@ -62,7 +62,7 @@ class Chain:
     Parameters
     ----------
     series
-        Recordings; those of the identification come first.
+        Recordings; the identification recordings come first.
     force_span_N
         Force range of the identification [N].
     most_rows

@@ -12,7 +12,7 @@ from piezod.estimation.recordings.noise import MEDIAN_SPREAD
 
 ORDER = 12  # order of the autoregression
 SHORTEST_STRETCH, MOST_STRETCHES = 1000, 24  # samples in a stretch and stretches for the autoregression
-QUIET_SHARE = 0.75  # share of the stretches, those with the least power, that are used: bursts and steps are not
+QUIET_SHARE = 0.75  # share of the stretches that is used, the quietest first: bursts and steps are not
 WIDEST, NARROWEST, GROWTH = 101, 16, 0.25  # width of the bins around a line, and its growth with frequency
 SLOWEST_LINE = 16  # lowest frequency of a line [cycles per record]
 DRIVEN, DRIVEN_SHARE = 50.0, 1e-5  # power of a driven bin over that around it, and over the total power

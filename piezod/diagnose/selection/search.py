@@ -46,7 +46,7 @@ def search(
     given
         Effects of the given model, held at their values.
     until_s
-        Monotonic time at which no further effect is looked for [s]; one that is not compared by then is not taken.
+        Monotonic time at which the search ends [s]; an effect that is not compared by then is not taken.
     known
         Information of the given model on its parameters; None: it states none.
     """

@@ -72,7 +72,7 @@ class Search:
     refined
         Joint estimates of kept effects, from the given model and these recordings, by name.
     stack
-        Recordings and hypothesis by which a change of the stack was estimated; None: those of the state.
+        Recordings and hypothesis by which a change of the stack was estimated; None: as in the state.
     known
         Information of the given model on its parameters; None: it states none.
     ended_early

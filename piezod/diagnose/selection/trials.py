@@ -37,7 +37,7 @@ def with_each_effect(chain: Chain, fitted: Fitted, past: Point) -> list[tuple[Ch
     """Hypotheses with one more effect, each with the chain that it was fitted to.
 
     Two assumptions are tried too where they lower the estimated loss, since a missing effect may have caused them. A
-    held command may be straight, unless an effect smooths it. A recording may start like those of the identification.
+    held command may be straight, unless an effect smooths it. A recording may start like the identification recordings.
     """
     variants = []
     if not chain.series[0].hold.straight and not any(term.effect.smooths for term in fitted.terms):

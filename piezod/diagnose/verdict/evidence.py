@@ -117,7 +117,7 @@ def widened(parameter: Parameter, value: float, in_fit: tuple[float, float]) -> 
 def gone_finding(result: Search, name: str, given: Model) -> Finding:
     """Finding about an effect of the given model that the recordings do not show.
 
-    Its errors on left-out blocks are with and without it, its parameters those of the given model.
+    Its errors on left-out blocks are with and without it, its parameters are the values of the given model.
     """
     chain, fitted = result.chain, result.hypothesis
     full = as_given(chain, fitted, result.base, name)
@@ -166,7 +166,7 @@ def given_values(given: Model, name: str) -> dict[str, Value]:
 def unchanged_effects(
     result: Search, given: Model, written: Model, findings: Sequence[Finding], tones: Sequence[str]
 ) -> list[UnchangedEffect]:
-    """Effects of the given model that have not changed, including those of other recordings.
+    """Effects of the given model that have not changed, including effects of other recordings.
 
     `findings`: new, changed and gone effects; `tones`: names of unchanged tones. `written` may have joint estimates.
     """

@@ -57,7 +57,7 @@ class Comparison:
 
     @property
     def ranked(self) -> list[SimulatedOutput]:
-        """Simulated outputs, the one with the highest fit first."""
+        """Simulated outputs, the highest fit first."""
         return sorted(self.simulated, key=lambda output: -output.agreement.nrmse_percent)
 
     @property

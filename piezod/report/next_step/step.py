@@ -9,7 +9,7 @@ BENCH, LATER = Path("BENCH.yaml"), Path("LATER.csv")
 AT_NOISE = 1.3
 """Error, in multiples of the noise, that counts as noise: `diagnose.findings.ABOVE_NOISE`."""
 RESTING = 1.1
-"""The same for held-out data of an identification: `identify.identification.AT_THE_NOISE`."""
+"""Limit for held-out data of an identification: `identify.identification.AT_THE_NOISE`."""
 STRUCTURED = 3.0
 """Error of a useless model, in multiples of the noise, above which it has structure: as in `identify`."""
 CLOSE = 0.99
