@@ -27,10 +27,21 @@ def substitute_recording(model: Model) -> Series:
     rate_Hz = SUBSTITUTE_SAMPLES / 150.0
     u = varying_triangles(peak - min(model.input.low, 0.0), 0.1, 15, rate_Hz) + min(model.input.low, 0.0)
     time_s = np.arange(u.size) / rate_Hz
-    y = run_chain(as_identified(model), model.operator(), time_s, u, temperature_C=np.zeros(u.size))
+    temperature_C = np.zeros(u.size)  # constant; without it no thermal drift is tried
+    y = run_chain(as_identified(model), model.operator(), time_s, u, temperature_C=temperature_C)
     errors = model.provenance.fit
     noise = errors.rms_fit or errors.rms_held_out or 1e-3 * float(np.ptp(y))
-    return Series(SUBSTITUTE, "identification", time_s, u, y, np.ones(u.size, bool), noise, hold=model.hold)
+    return Series(
+        SUBSTITUTE,
+        "identification",
+        time_s,
+        u,
+        y,
+        np.ones(u.size, bool),
+        noise,
+        hold=model.hold,
+        temperature_C=temperature_C,
+    )
 
 
 def with_loose_base(chain: Chain) -> Chain:

@@ -33,6 +33,9 @@ class Rules:
     stack_alone
         Share of the loss that a change of the stack may leave to be taken before any effect: a new effect may do the
         same.
+    known_first
+        Share of the loss after a change of what is known, below which a new effect is taken in its place: the prior
+        odds. A thermal drift that bent the creep of a concealed bench left 0.08 of it; true changes leave noise.
     dominant_tone
         Share of its recordings' loss that a tone may leave to be removed before other effects are tried.
     edge
@@ -52,6 +55,7 @@ class Rules:
     most_effects: int = 5
     at_noise: float = 1.05
     stack_alone: float = 0.05
+    known_first: float = 0.5
     dominant_tone: float = 0.3
     edge: float = 0.02
 

@@ -115,8 +115,9 @@ def _with_refined_base(state: Search) -> Search:
 def _with_best_change(state: Search) -> Search | None:
     """State with the best change of a given effect or of the stack; None where no change is worth it.
 
-    A change is likelier than a new effect, so it is tried first. Without given effects a change of the stack must leave
-    nearly nothing, because a new effect may do the same.
+    A change is likelier than a new effect, so it is tried first. It must leave no more than noise, or little beside
+    what the best new effect leaves. Without given effects a change of the stack must leave nearly nothing, because a
+    new effect may do the same.
     """
     chain, hypothesis = state.chain, state.hypothesis
     names = [term.effect.name for term in hypothesis.terms if term.held]
@@ -127,4 +128,11 @@ def _with_best_change(state: Search) -> Search | None:
     best = min(tried, key=lambda pair: pair[1].loss, default=None)
     if best is None or not worth(hypothesis, best[1]):
         return None
+    if best[1].loss > RULES.at_noise and _new_effect_leaves_less(state, RULES.known_first * best[1].loss):
+        return None
     return state.on_chain(*best)
+
+
+def _new_effect_leaves_less(state: Search, loss: float) -> bool:
+    best = Candidates(state).best
+    return best is not None and best[1].loss < loss

@@ -11,6 +11,7 @@ import piezod
 from piezod.diagnose.command import diagnose_files
 from piezod.model import load_model, save_model
 from piezod.model.parameters import EffectValues
+from piezod.recording import write_csv
 from tests.benches.plain_stack import NOISE_N, record, triangles, work
 
 HARMONICS = [f"{wave}_{h}" for h in range(2, 8) for wave in ("sine", "cosine")]
@@ -145,6 +146,19 @@ def test_a_value_that_older_recordings_did_not_determine_is_averaged_and_has_not
     assert written["creep"].parameters["per_decade"] == pytest.approx(0.026, rel=0.1)
     since = next(effect.since for effect in model.effects if effect.name == "creep")
     assert (written["creep"].since == since) == (status == "kept")
+
+
+def test_a_new_drift_is_not_taken_for_a_change_of_the_known_creep(bench, tmp_path):
+    save_model(without_older_recordings(load_model(bench / "model.yaml")), tmp_path / "model.yaml")
+    later = piezod.read_recording(record(tmp_path / "plain.csv", work(4), 5, **OLD))
+    temperature_C = 20.0 + 2.0 * np.sin(2.0 * np.pi * later.time_s / later.time_s[-1])
+    force_N = later.channel("force_N") - 1.5 * (temperature_C - 20.0)
+    channels = {"voltage_V": later.channel("voltage_V"), "force_N": force_N, "temperature_C": temperature_C}
+    write_csv(piezod.Recording(later.time_s, channels), tmp_path / "later.csv")
+    findings = diagnosed(tmp_path, tmp_path / "model.yaml", "later", tmp_path / "out")
+    assert names(findings["effects"]) == {"thermal_drift": "new"}
+    assert findings["effects"][0]["parameters"]["coefficient_N_per_K"]["value"] == pytest.approx(-1.5, rel=0.05)
+    assert {one["name"] for one in findings["kept"]} == {"creep", "transport_delay"}
 
 
 @pytest.mark.slow

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from piezod.diagnose.candidates.starts import recorded_channels
 from piezod.diagnose.hypothesis.basis import PlayDensity
-from piezod.diagnose.prepare import chain_of
+from piezod.diagnose.prepare import chain_of, substitute_recording
 from piezod.errors import RecordingError
 from piezod.estimation.recordings.preparation import evenly_spaced, with_start, with_unknown_start, without_frozen
 from piezod.estimation.recordings.sources import Source
@@ -141,3 +142,9 @@ def test_a_recording_from_rest_may_move_every_play_whatever_start_was_estimated(
     one = replace(series(time(u.size), u, 1.8 * u), path_V=(120.0, 0.0))
     chain, _ = chain_of([one], model)
     assert chain.density.thresholds_V[-1] == pytest.approx(reach_V, rel=0.02)
+
+
+def test_a_thermal_drift_can_be_told_beside_the_recording_that_replaces_missing_ones(model):
+    time_s = time(2000)
+    warming = series(time_s, mixed_work(time_s), np.zeros(2000), temperature_C=np.linspace(20.0, 21.0, 2000))
+    assert recorded_channels([substitute_recording(model), warming]) == ["temperature_C"]
