@@ -31,7 +31,7 @@ def check_reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[
     try:
         table = reference_table(bench, folder)
         force_N = table.values()
-        voltage_V = planned_voltage_V(bench, model, table)
+        voltage_V = _planned_voltage_V(bench, model, table)
     except PiezodError as error:
         yield Check("reference", "FAIL", str(error))
         return
@@ -39,16 +39,12 @@ def check_reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[
     yield _voltage_check(bench, force_N.size, voltage_V)
 
 
-def planned_voltage_V(bench: BenchConfig, model: Model, table: TableReference) -> NDArray[np.float64]:
+def _planned_voltage_V(bench: BenchConfig, model: Model, table: TableReference) -> NDArray[np.float64]:
     """Voltage that the compensation plans in each tick, from the model's start state [V].
 
     A loop is passed twice: the first pass begins without the memory of a pass before. The states advance with the
-    voltage within the limits; without the slew limit. At most `MOST_PLANNED` ticks.
-
-    Parameters
-    ----------
-    table
-        Reference; its values are led by delay and resonance afterwards.
+    voltage within the limits; without the slew limit. At most `MOST_PLANNED` ticks. Afterwards the values of the table
+    are led by delay and resonance.
     """
     compensator = make_compensator(bench.compensation, model, bench.dt_s, bench.compensation_without)
     plan_ahead(table, compensator)

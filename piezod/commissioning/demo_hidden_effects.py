@@ -31,19 +31,8 @@ TRIANGLES_HZ, TRIANGLES = 4.0, 8
 LOOPS_HZ = 2.0
 
 
-def excitation_voltages(rate_Hz: float) -> NDArray[np.float64]:
-    """Voltages that separate creep, lag and delay: loops of all sizes, holds, fast triangles.
-
-    Parameters
-    ----------
-    rate_Hz
-        Tick rate [Hz].
-
-    Returns
-    -------
-    numpy.ndarray
-        One voltage per tick, shape (N,) [V].
-    """
+def _excitation_voltages(rate_Hz: float) -> NDArray[np.float64]:
+    """Voltages that separate creep, lag and delay, shape (N,) [V]: loops of all sizes, holds, fast triangles."""
     loops = excitation(IDENTIFICATION, PEAK_V, LOOPS_HZ, 1, rate_Hz)
     holds = np.repeat([*HOLDS_V, 0.0], round(HOLD_S * rate_Hz))
     fast = excitation("constant-triangles", PEAK_V, TRIANGLES_HZ, TRIANGLES, rate_Hz)
@@ -65,7 +54,7 @@ def record_hidden_effects(folder: Path, on_rows: OnRows) -> Recording:
     """
     with virtual_time_bench(folder, "stack", HIDDEN) as path:
         bench = load_bench(path)
-        voltages_V = excitation_voltages(VIRTUAL_RATE_HZ)
+        voltages_V = _excitation_voltages(VIRTUAL_RATE_HZ)
         segment = SegmentSpec("work", "direct", voltages_V=voltages_V, reset_cycle=False)
         session = Session(bench, None, folder, [segment])
         history = follow_session(session, on_rows)

@@ -64,7 +64,7 @@ def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str
     check_page(output)
     bench = load_bench(config)
     missing: dict[str, str] = {}
-    parts = {"bench.yaml": redacted_configuration(bench, read_document(config).content)}
+    parts = {"bench.yaml": _redacted_configuration(bench, read_document(config).content)}
     makers = {"status.json": _status, "log.txt": _log, "ticks.csv": _ticks, "transitions.txt": _transitions}
     for name, make in makers.items():
         try:
@@ -102,16 +102,11 @@ def _without(text: str, secrets: set[str]) -> str:
     return text.replace(str(Path.home()), "~")
 
 
-def redacted_configuration(bench: BenchConfig, content: dict[str, Any]) -> str:
+def _redacted_configuration(bench: BenchConfig, content: dict[str, Any]) -> str:
     """Effective configuration without secrets and without the location of the bench.
 
     Replaced: file names and host names of TLS, host names, public addresses, groups, and the lines of an ASCII
     protocol, which may contain a password. Numbers, registers and private addresses stay, because support needs them.
-
-    Parameters
-    ----------
-    content
-        Content of the YAML file, which separates the given values from defaults.
     """
     return effective_text(_redacted(all_values(bench), _secrets(bench)), content)
 

@@ -94,8 +94,8 @@ def plan_validation(path: Path, model_paths: list[Path]) -> Validation:
     """
     bench = load_bench_without_model(path)
     models = dict(zip(_labels(model_paths), [load_drivable_model(path) for path in model_paths], strict=True))
-    range_N = common_range_N(bench, models)
-    references = triangular_references(range_N)
+    range_N = _common_range_N(bench, models)
+    references = _triangular_references(range_N)
     first = next(iter(models.values()))
     segments = {}
     for name, reference in references.items():
@@ -105,14 +105,8 @@ def plan_validation(path: Path, model_paths: list[Path]) -> Validation:
     return Validation(bench, path.parent, range_N, references, segments)
 
 
-def common_range_N(bench: BenchConfig, models: dict[str, Model]) -> tuple[float, float]:
-    """Range of force that every model reaches on its major loop, within the voltage and force limits of the bench [N].
-
-    Raises
-    ------
-    ConfigurationError
-        There is no such range.
-    """
+def _common_range_N(bench: BenchConfig, models: dict[str, Model]) -> tuple[float, float]:
+    """Range of force that every model reaches on its major loop, within the limits of the bench [N]."""
     low_N, high_N = bench.limits.force_min_N, bench.limits.force_trip_N
     for label, model in models.items():
         low_V = max(model.input.low, bench.limits.voltage_min_V)
@@ -133,19 +127,8 @@ def common_range_N(bench: BenchConfig, models: dict[str, Model]) -> tuple[float,
     return low_N, high_N
 
 
-def triangular_references(range_N: tuple[float, float]) -> dict[str, WaveformReference]:
-    """Make references with three amplitudes about two offsets.
-
-    Parameters
-    ----------
-    range_N
-        Lowest and highest force [N].
-
-    Returns
-    -------
-    dict
-        References by name.
-    """
+def _triangular_references(range_N: tuple[float, float]) -> dict[str, WaveformReference]:
+    """References with three amplitudes about two offsets, by name; the range is from lowest to highest force [N]."""
     low_N, span_N = range_N[0], range_N[1] - range_N[0]
     references = {}
     for offset in OFFSETS:

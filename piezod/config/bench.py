@@ -280,18 +280,12 @@ def load_bench(path: Path) -> BenchConfig:
     """
     document = read_document(path)
     bench = bench_of(document)
-    check_cpu(bench, document)
+    _check_cpu(bench, document)
     return bench
 
 
-def check_cpu(bench: BenchConfig, document: Document) -> None:
-    """Refuse a `real_time.cpu` that this machine does not have; the kernel would leave the loop on any CPU.
-
-    Raises
-    ------
-    ConfigurationError
-        Names the number and the CPUs of this machine.
-    """
+def _check_cpu(bench: BenchConfig, document: Document) -> None:
+    """Refuse a `real_time.cpu` that this machine does not have; the kernel would leave the loop on any CPU."""
     cpu, count = bench.real_time.cpu, os.cpu_count()
     if cpu is not None and count is not None and cpu >= count:
         line = document.line_of(["real_time", "cpu"])

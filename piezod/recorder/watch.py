@@ -42,7 +42,7 @@ class RecorderWatch:
     """
 
     def __init__(self, bench: BenchConfig, log: Callable[[str], None]) -> None:
-        self._plan = recorder_plan(bench)
+        self._plan = _recorder_plan(bench)
         self._period_s = self._plan.sync_every_s
         self._log = log
         self._following: dict[str, str] | None = None
@@ -181,14 +181,8 @@ class RecorderWatch:
                 self._process.stdin.write(json.dumps(message).encode() + b"\n")
 
 
-def recorder_plan(bench: BenchConfig) -> Plan:
-    """Make the settings of the recorder process of a bench.
-
-    Parameters
-    ----------
-    bench
-        Bench configuration with a section `recorder`.
-    """
+def _recorder_plan(bench: BenchConfig) -> Plan:
+    """Settings of the recorder process of a bench that has a section `recorder`."""
     config, folder = bench.recorder, bench.recordings_path
     assert config is not None
     assert folder is not None

@@ -64,14 +64,8 @@ class LineTemplate:
         return f"{self._before}{number}{self._after}{self._terminator}".encode("ascii"), float(number)
 
 
-def plain_line(command: LineCommand, terminator: str, where: str) -> bytes:
-    """A constant line with its terminator.
-
-    Raises
-    ------
-    ConfigurationError
-        The line is not ASCII.
-    """
+def _plain_line(command: LineCommand, terminator: str, where: str) -> bytes:
+    """A constant line with its terminator; raises ConfigurationError if it is not ASCII."""
     try:
         return (command.send + terminator).encode("ascii")
     except UnicodeEncodeError as error:
@@ -123,4 +117,4 @@ def query_of(
     """
     if command is None:
         return b"", None
-    return plain_line(command, terminator, where), compile_reply(command, where, groups)
+    return _plain_line(command, terminator, where), compile_reply(command, where, groups)

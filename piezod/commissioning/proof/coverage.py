@@ -58,14 +58,8 @@ _CONFIGURED: dict[str, Callable[[BenchConfig], bool]] = {
 }
 
 
-def is_configured(trip: Trip, bench: BenchConfig) -> bool:
-    """Whether the bench file switches this trip on.
-
-    Parameters
-    ----------
-    trip
-        One of `TRIPS`.
-    """
+def _is_configured(trip: Trip, bench: BenchConfig) -> bool:
+    """Whether the bench file switches this trip on."""
     if (known := _CONFIGURED.get(trip.key)) is not None:
         return known(bench)
     if trip.key.startswith("link.registers."):
@@ -86,7 +80,7 @@ def coverage(bench: BenchConfig, results: Mapping[str, str]) -> dict[str, Any]:
     dict
         Number of configured and of proven trips, a sentence, and a reason for each configured trip without a proof.
     """
-    configured = [trip for trip in TRIPS if is_configured(trip, bench)]
+    configured = [trip for trip in TRIPS if _is_configured(trip, bench)]
     reasons = {trip.key: _reason(trip, results) for trip in configured}
     missing = {key: reason for key, reason in reasons.items() if reason}
     proven = len(configured) - len(missing)

@@ -138,18 +138,8 @@ def place_words(place: Place, wording: Wording = VOLTS) -> str:
     return f"{name} {_range_text(place.low, place.high)} {unit}{within}"
 
 
-def confidence_level(confidence: float) -> str:
-    """Name of the level of a confidence [0, 1].
-
-    Parameters
-    ----------
-    confidence
-        Confidence of a finding, 0 to 1.
-
-    Returns
-    -------
-    "high", "medium" or "low".
-    """
+def _confidence_level(confidence: float) -> str:
+    """Name of the level of a confidence from 0 to 1: `high`, `medium` or `low`."""
     if confidence >= HIGH:
         return "high"
     return "medium" if confidence >= PROBABLE else "low"
@@ -163,7 +153,7 @@ def confidence_words(confidence: float) -> str:
     confidence
         Confidence of a finding, 0 to 1.
     """
-    return f"{100.0 * confidence:.0f} % ({confidence_level(confidence)})"
+    return f"{100.0 * confidence:.0f} % ({_confidence_level(confidence)})"
 
 
 def hedged(finding: Finding) -> str:

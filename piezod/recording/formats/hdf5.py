@@ -78,7 +78,7 @@ def open_hdf5(path: Path, options: TextOptions = TextOptions()) -> Iterator[Reco
     check_heaps(path)
     with h5py.File(path, "r") as file:
         vectors, skipped = vectors_of(h5py, file)
-        metadata = {key: text for key in file.attrs if (text := attribute_text(_attribute(file.attrs, key)))}
+        metadata = {key: text for key in file.attrs if (text := _attribute_text(_attribute(file.attrs, key)))}
         yield stream_of(path, vectors, metadata | skipped_parts(skipped), options)
 
 
@@ -142,14 +142,8 @@ def vectors_of(h5py: Any, file: Any) -> tuple[dict[str, Vector], list[str]]:  # 
     return vectors, skipped
 
 
-def attribute_text(value: Any) -> str:  # noqa: ANN401  an attribute is of any type
-    """Attribute as text; empty for an attribute of another type.
-
-    Parameters
-    ----------
-    value
-        Value of an attribute of any type.
-    """
+def _attribute_text(value: Any) -> str:  # noqa: ANN401  an attribute is of any type
+    """Attribute as text; empty for an attribute of another type."""
     if isinstance(value, bytes):
         return value.decode("utf-8", "replace")
     return value if isinstance(value, str) else ""
@@ -211,7 +205,7 @@ def _attribute(attributes: Any, key: str) -> Any:  # noqa: ANN401
 def _number(value: Any) -> float | None:  # noqa: ANN401
     """An attribute as a number, also of text; None: it is none."""
     try:
-        return float(np.asarray(attribute_text(value) or value).ravel()[0])
+        return float(np.asarray(_attribute_text(value) or value).ravel()[0])
     except (TypeError, ValueError, IndexError):
         return None
 
@@ -231,5 +225,5 @@ def _unit(vector: Vector) -> str:
     if vector.part is not None:
         return ""
     return next(
-        (unit for key in UNIT_ATTRIBUTES if (unit := attribute_text(_attribute(vector.dataset.attrs, key)))), ""
+        (unit for key in UNIT_ATTRIBUTES if (unit := _attribute_text(_attribute(vector.dataset.attrs, key)))), ""
     )
