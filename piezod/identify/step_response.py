@@ -74,10 +74,10 @@ def step_response(measured: Array, modelled: Array, dt_s: float) -> StepResponse
     """
     if not np.isfinite(modelled).all() or measured.size < PARTS * FEWEST_ROWS:
         return None
-    measured, modelled = _whitened(measured, modelled)
-    ends = np.linspace(0, measured.size, PARTS + 1).astype(int)
-    most = MOST_SAMPLES // PARTS
-    moments = [_moments(measured[a:b][:most], modelled[a:b][:most]) for a, b in itertools.pairwise(ends)]
+    ends, most = np.linspace(0, measured.size, PARTS + 1).astype(int), MOST_SAMPLES // PARTS
+    pieces = [(measured[a:b][:most], modelled[a:b][:most]) for a, b in itertools.pairwise(ends)]
+    taps = _whitening([y - x for y, x in pieces])
+    moments = [_moments(*_filtered(y, x, taps)) for y, x in pieces]
     parts = [moment for moment in moments if moment is not None]
     if len(parts) < PARTS:
         return None
@@ -91,19 +91,24 @@ def step_response(measured: Array, modelled: Array, dt_s: float) -> StepResponse
     return StepResponse(dt_s * KNOTS[shown], total[shown], STANDARD_ERRORS * spread[shown])
 
 
-def _whitened(measured: Array, modelled: Array) -> tuple[Array, Array]:
-    """Both records through the filter that whitens the residual; nan where it reaches a missing sample."""
-    present = np.isfinite(measured)
-    residual = np.where(present, measured - modelled, 0.0)
-    residual -= residual[present].mean() if present.any() else 0.0
-    size = 2 * residual.size
-    power = np.abs(np.fft.rfft(residual, size)) ** 2
-    covariance = np.fft.irfft(power, size)[: WHITENED + 1]
+def _whitening(residuals: list[Array]) -> Array:
+    """Filter that whitens the residuals, shape (WHITENED + 1,); a missing sample counts as their mean."""
+    covariance = np.zeros(WHITENED + 1)
+    mean = float(np.nanmean(np.concatenate(residuals))) if any(np.isfinite(r).any() for r in residuals) else 0.0
+    for residual in residuals:
+        centred = np.where(np.isfinite(residual), residual - mean, 0.0)
+        power = np.abs(np.fft.rfft(centred, 2 * centred.size)) ** 2
+        covariance += np.fft.irfft(power, 2 * centred.size)[: WHITENED + 1]
     if covariance[0] <= 0.0:
-        return measured, modelled
+        return np.ones(1)
     covariance[0] *= 1.0 + RIDGE
     lags = np.subtract.outer(np.arange(WHITENED), np.arange(WHITENED))
-    taps = np.concatenate(([1.0], -np.linalg.solve(covariance[np.abs(lags)], covariance[1:])))
+    return np.concatenate(([1.0], -np.linalg.solve(covariance[np.abs(lags)], covariance[1:])))
+
+
+def _filtered(measured: Array, modelled: Array, taps: Array) -> tuple[Array, Array]:
+    """Both records through a filter; nan where it reaches a missing sample."""
+    present = np.isfinite(measured)
     filtered = np.convolve(np.where(present, measured, 0.0), taps, mode="valid")
     reached = np.convolve(~present, np.ones(taps.size), mode="valid") > 0.5
     return np.where(reached, np.nan, filtered), np.convolve(modelled, taps, mode="valid")
