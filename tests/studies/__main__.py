@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from tests.studies import (
+    api_calls,
     archive,
     compensation,
     daily_check,
@@ -61,6 +62,7 @@ def main() -> None:
     )
     lisdd.add_options(studies.add_parser("lisdd", help="LISDD on the cases of a concealed study"))
     recorder.add_options(studies.add_parser("recorder", help="the recorder under kills, power cuts and disk failures"))
+    api_calls.add_options(studies.add_parser("api_calls", help="calls of the Python interface, right and wrong"))
     messy_files.add_options(studies.add_parser("messy_files", help="text of spreadsheets and instruments"))
     real_recordings.add_options(
         studies.add_parser("real_recordings", help="measured recordings of other machines, beside simulation")
