@@ -13,6 +13,7 @@ from piezod.config.link import ModbusRtuLink
 from piezod.transport.port_names import port_kind
 
 SILENT = "a device that does not answer to function 43"
+TIMEOUT_S = 1.0  # for the connection and for the reply
 BY_ID = Path("/dev/serial/by-id")  # persistent names by udev, independent of other adapters
 
 
@@ -39,37 +40,27 @@ def _described(device: str, description: str | None) -> str:
     return port_kind(device) or device
 
 
-def modbus_name(host: str, port: int, unit_id: int, timeout_s: float = 1.0, *, rtu: bool = False) -> str:
+def modbus_name(host: str, port: int, unit_id: int, *, rtu: bool = False) -> str:
     """Name of a device on the network by function 43/14, or a text that it has none; empty: no device answers.
 
     Parameters
     ----------
-    timeout_s
-        Time limit for the connection and for the reply [s].
     rtu
         Whether a serial gateway expects RTU frames.
     """
     framer = FramerType.RTU if rtu else FramerType.SOCKET
-    return _name(ModbusTcpClient(host, port=port, timeout=timeout_s, retries=0, framer=framer), unit_id)
+    return _name(ModbusTcpClient(host, port=port, timeout=TIMEOUT_S, retries=0, framer=framer), unit_id)
 
 
-def rtu_name(link: ModbusRtuLink, timeout_s: float = 1.0) -> str:
-    """Name of a device on a serial line, as `modbus_name`.
-
-    Parameters
-    ----------
-    link
-        Port, character format and unit.
-    timeout_s
-        Time limit for the reply [s].
-    """
+def rtu_name(link: ModbusRtuLink) -> str:
+    """Name of a device on a serial line, as `modbus_name`."""
     client = ModbusSerialClient(
         link.port,
         baudrate=link.baudrate,
         bytesize=link.bytesize,
         parity=link.parity,
         stopbits=link.stopbits,
-        timeout=timeout_s,
+        timeout=TIMEOUT_S,
         retries=0,
     )
     return _name(client, link.unit_id)

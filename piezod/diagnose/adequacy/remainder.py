@@ -24,14 +24,12 @@ class Motion:
     level_share: float  # share of the power that exceeds the power at the smallest force; 0 if not significant
 
 
-def motion_of(
-    series: Sequence[Series], residuals: Sequence[Array], modelled: Sequence[Array], *, seed: int = 0
-) -> Motion:
+def motion_of(series: Sequence[Series], residuals: Sequence[Array], modelled: Sequence[Array]) -> Motion:
     """Test whether the residual's power in the diagnosed recordings follows the motion or the level of the force.
 
     `series` are recordings of any role; `residuals` and `modelled` have shape (N,) each [N].
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     windows = [
         _Windows.of(s, residual / s.noise_N, model_N)
         for s, residual, model_N in zip(series, residuals, modelled, strict=True)

@@ -10,6 +10,7 @@ from piezod.estimation.recordings.series import Series
 
 LINE_OVER_MEDIAN = 30.0  # least power of a line over the median around it; noise reaches 18 in 1e6 bins
 PEAK_PARTS_S = (4.0, 0.5, 0.25)  # lengths of the averaged parts of a recording
+MOST_PEAKS = 3  # of the parts of one length
 PEAK_DISTANCE = 0.1  # least relative distance of two peaks
 SURROUNDINGS, NEIGHBOURS = 101, 20  # bins for the running median, and bins on either side of a tone
 LOBE, WANDERS_HZ = 4, 0.1  # half width of a Hann window's lobe [bins], and frequency by which a tone may wander
@@ -112,19 +113,19 @@ def _level_near(power: Array, k: int, bin_Hz: float) -> float:
     return float(np.median(np.append(below, above)))
 
 
-def peaks_Hz(series: Series, residual_N: Array, most: int = 3) -> list[float]:
+def peaks_Hz(series: Series, residual_N: Array) -> list[float]:
     """Frequencies of peaks in the smoothed spectrum of a residual, as resonances have.
 
     The spectrum is averaged over long and over short parts. In a spectrum of short parts a well damped mode is narrow.
     """
     peaks: list[float] = []
     for part_s in PEAK_PARTS_S:
-        new = _peaks_of_parts_Hz(series, residual_N, part_s, most)
+        new = _peaks_of_parts_Hz(series, residual_N, part_s)
         peaks += [f for f in new if all(abs(f / other - 1.0) > PEAK_DISTANCE for other in peaks)]
     return peaks
 
 
-def _peaks_of_parts_Hz(series: Series, residual_N: Array, part_s: float, most: int) -> list[float]:
+def _peaks_of_parts_Hz(series: Series, residual_N: Array, part_s: float) -> list[float]:
     size = int(min(residual_N.size // 8, max(256, part_s / series.dt_s)))
     if size < 64:
         return []
@@ -138,4 +139,4 @@ def _peaks_of_parts_Hz(series: Series, residual_N: Array, part_s: float, most: i
     inner = np.arange(3, level.size - 3)
     tops = inner[(level[inner] >= level[inner - 1]) & (level[inner] > level[inner + 1]) & (above[inner] > 1.0)]
     frequency_Hz = np.fft.rfftfreq(size, series.dt_s)
-    return [float(frequency_Hz[k]) for k in sorted(tops, key=lambda j: -above[j])[:most]]
+    return [float(frequency_Hz[k]) for k in sorted(tops, key=lambda j: -above[j])[:MOST_PEAKS]]

@@ -17,6 +17,7 @@ NEVER_S = 1e7  # end of a step that stays
 CELLS = 400  # cells of a recording whose edges are tried first
 CELL_DISTANCE = 4  # least distance between the edges of two proposals [cells]
 SHORTEST = 2  # shortest step [cells]
+MOST_STEPS = 2  # proposals for a recording
 WINDOWS_S = (0.1, 0.3, 1.0, 3.0)  # windows before and after an edge whose means are compared
 JUMP_S = 0.3  # window before and after the largest jump
 COMMAND_JUMPS = 20  # jumps of the command that are skipped
@@ -39,10 +40,10 @@ class Step:
     end: int
 
 
-def likely_steps(normal: Normal, number: int, most: int = 2) -> list[Step]:
+def likely_steps(normal: Normal, number: int) -> list[Step]:
     """Steps that would lower the squared residual most, with everything else refitted to first order.
 
-    `number`: number of the recording; `most`: largest number of steps, which share no edge.
+    `number`: number of the recording. The at most `MOST_STEPS` steps share no edge.
     """
     series, rows = normal.chain.series[number], normal.chain.rows[number]
     size, step = normal.weights[number].size, rows.step or 1
@@ -52,7 +53,7 @@ def likely_steps(normal: Normal, number: int, most: int = 2) -> list[Step]:
     index = np.arange(edges.size)
     gains[index[None, :] - index[:, None] < SHORTEST] = 0.0
     steps: list[Step] = []
-    while len(steps) < most:
+    while len(steps) < MOST_STEPS:
         a, b = (int(x) for x in np.unravel_index(int(np.argmax(gains)), gains.shape))
         if gains[a, b] <= 0.0:
             break

@@ -42,6 +42,7 @@ FLOORS = {
     "repeats": "from repeated periods of the excitation",
     "unknown": "an upper bound: the part that no flexible model explains",
 }
+MOST_PLACES = 2  # listed places of an effect; the others are counted
 NEAR = 0.15  # rivals whose predictions differ by less are hardly distinguishable [rms of the noise]
 
 
@@ -98,18 +99,16 @@ def location(finding: Finding) -> str:
     return LOCATIONS[EFFECTS[finding.name].location]
 
 
-def places_of(finding: Finding, wording: Wording, most: int = 2) -> str:
+def places_of(finding: Finding, wording: Wording) -> str:
     """First places of an effect, and the number of further places; empty if the effect acts everywhere.
 
     Parameters
     ----------
     finding, wording
         Finding of the effect; units and names of the recordings.
-    most
-        Most places that are listed, at least 1.
     """
-    places = [place_words(place, wording) for place in finding.where[:most]]
-    more = len(finding.where) - most
+    places = [place_words(place, wording) for place in finding.where[:MOST_PLACES]]
+    more = len(finding.where) - MOST_PLACES
     return "; ".join([*places, f"{more} more"] if more > 0 else places)
 
 
