@@ -109,8 +109,13 @@ def init(
     from piezod.commissioning.wizard import ask_missing
 
     if discover:
-        found = discovered(host, port, unit_id)
-        print(json.dumps({"schema": "piezod.discover/1", "found": found}, indent=2) if as_json else "\n".join(found))
+        from piezod.report.next_step import after_discover
+
+        found, step = discovered(host, port, unit_id), after_discover(host, port)
+        content = {"schema": "piezod.discover/1", "found": found, "next_step": step.as_dict()}
+        print(json.dumps(content, indent=2) if as_json else "\n".join(found))
+        if not as_json:
+            print_next(step)
         return
     if output.exists() and not force:
         raise UsageError(f"{output} already exists; name another file with -o, or replace it with --force")

@@ -162,6 +162,22 @@ def after_investigate(config: Path | None, model: Path, written: Path, *, extend
     return NextStep("compare both models on the bench, then drive with the better one", (validated,))
 
 
+def after_discover(host: str | None, port: int | None) -> NextStep:
+    """Make a bench file for a device that was found, or look at its address.
+
+    Parameters
+    ----------
+    host, port
+        Address that was read; None: none, and 502.
+    """
+    if host is None:
+        words = "look at the address of a device too"
+        return NextStep(words, (command("init", "--discover", "--host", "HOST"),))
+    where = ["--host", host, *(["--port", port] if port is not None else [])]
+    made = command("init", "--yes", "--profile", "bench", *where, "-o", BENCH)
+    return NextStep("make a bench file from the profile that is nearest to the device", (made,))
+
+
 def after_init(config: Path) -> NextStep:
     """Step after a new bench file."""
     return NextStep(
