@@ -16,15 +16,9 @@ from piezod.identify.simulation import simulate_recording
 from piezod.model import Model, save_model
 from piezod.recording import Recording, read_recording, write_csv
 
-PLAYS, ZONES = 14, 6
-"""Orders of the identified model."""
-
-MODEL = "model.yaml"
-"""File of the identified model."""
-
-REPLAY = "replay.json"
-"""File of the hypotheses that were tried."""
-
+PLAYS, ZONES = 14, 6  # orders of the identified model
+MODEL = "model.yaml"  # file of the identified model
+REPLAY = "replay.json"  # file of the hypotheses that were tried
 EXTENDED, BASE = "simulated_held_out.csv", "simulated_held_out_base.csv"
 """Files of the held-out simulations with the extended and with the identified model."""
 

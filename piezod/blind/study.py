@@ -12,11 +12,8 @@ from piezod.blind.case import DESCRIPTION
 from piezod.blind.verdict import read_verdict
 from piezod.errors import CheckFailedError, ConfigurationError, PiezodError, UsageError
 
-MODULE = "firmware_sim.concealed"
-"""Module whose command makes and scores a study."""
-
-PROGRESS_EVERY_S = 0.2
-"""Time between two reports of progress [s]."""
+MODULE = "firmware_sim.concealed"  # module whose command makes and scores a study
+PROGRESS_EVERY_S = 0.2  # time between two reports of progress [s]
 
 
 def make_study(directory: Path, options: Mapping[str, object], on_cases: Callable[[int], None]) -> None:

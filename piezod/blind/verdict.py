@@ -19,8 +19,7 @@ FINDINGS, STUDY = "findings.json", "study.json"
 SCHEMA, FINDINGS_SCHEMA = "piezod.blind/1", "piezod.findings/2"
 
 
-Verdict = Outcome
-"""Files that the diagnosis of a case wrote."""
+Verdict = Outcome  # files that the diagnosis of a case wrote
 
 
 def run_json(elapsed_s: float, identification_s: float = 0.0, failed: str | None = None) -> bytes:

@@ -18,12 +18,9 @@ from piezod.config import BenchConfig
 from piezod.errors import ConfigurationError, PiezodError, UsageError
 
 TICK_EVERY_S, STATUS_EVERY_S = 0.1, 1.0
-RECONNECT_S = (1.0, 2.0, 5.0, 10.0)
-"""Pauses before attempts in a row [s]; the last value repeats."""
-KEEPALIVE_S = 5
-"""Silence after which the broker publishes the last will, times 1.5 [s]."""
-ANSWER_WITHIN_S = 2.0
-"""Longest wait for a broker [s]; a dead one is asked twice at the end."""
+RECONNECT_S = (1.0, 2.0, 5.0, 10.0)  # pauses before attempts in a row [s]; the last value repeats
+KEEPALIVE_S = 5  # silence after which the broker publishes the last will, times 1.5 [s]
+ANSWER_WITHIN_S = 2.0  # longest wait for a broker [s]; a dead one is asked twice at the end
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 SendCommand = Callable[[str], dict[str, Any]]

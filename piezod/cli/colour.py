@@ -5,8 +5,7 @@ import re
 import sys
 
 RED, ORANGE, GREEN, PLAIN = "\x1b[1;31m", "\x1b[33m", "\x1b[32m", "\x1b[0m"
-FEW_MISSED_PERCENT = 0.01
-"""Share of missed ticks that a machine may have: `piezod latency` calls such a rate held."""
+FEW_MISSED_PERCENT = 0.01  # share of missed ticks that a machine may have: `piezod latency` calls such a rate held
 _WORDS = {
     RED: re.compile(r"\b(?:FAULT|DRIFTED|STALE|RAILED|DEGRADED|FAIL|FAILED|NOT PASSED)\b"),
     ORANGE: re.compile(r"\b(?:WARN|HOLD|RAMP_DOWN)\b"),

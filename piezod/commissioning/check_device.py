@@ -13,10 +13,8 @@ from piezod.session.assembly import opened_link
 from piezod.session.history import percentiles
 from piezod.transport import ExchangeResult, Link
 
-READINGS = 100
-"""Number of readings for the timing."""
-LONGEST_IN_TICKS = 0.5
-"""Longest 99th percentile of the duration of a reading, in tick periods."""
+READINGS = 100  # number of readings for the timing
+LONGEST_IN_TICKS = 0.5  # longest 99th percentile of the duration of a reading, in tick periods
 
 
 def check_device(bench: BenchConfig) -> Iterator[Check]:

@@ -14,8 +14,7 @@ from piezod.errors import PiezodError
 from piezod.model import Model, make_compensator, steady_range
 from piezod.session.assembly import plan_ahead, reference_table
 
-MOST_PLANNED = 500_000
-"""Ticks whose voltage is computed. They take 2 s; a longer reference is described by its begin."""
+MOST_PLANNED = 500_000  # Ticks whose voltage is computed. They take 2 s; a longer reference is described by its begin
 
 
 def check_reference(bench: BenchConfig, model: Model, folder: Path) -> Iterator[Check]:

@@ -19,15 +19,12 @@ from piezod.session.follow import OnRows, follow_session
 from piezod.session.session import Session
 from piezod.session.task import SegmentSpec
 
-HIDDEN = ("creep", "electrical_lag", "transport_delay")
-"""Effects of the emulated bench, each at its default strength."""
+HIDDEN = ("creep", "electrical_lag", "transport_delay")  # effects of the emulated bench, each at its default strength
 REFERENCE_NAME = "multisine, hidden effects"
 REFERENCE = WaveformReference(kind="multisine", amplitude_N=110, offset_N=150, frequency_Hz=0.25, duration_s=8.0)
 PEAK_V = 130.0
-HOLDS_V, HOLD_S = (100.0, 40.0), 4.0
-"""Constant voltages [V] and their duration [s]; they show creep."""
-TRIANGLES_HZ, TRIANGLES = 4.0, 8
-"""Frequency [Hz] and number of fast triangles; they show the lag."""
+HOLDS_V, HOLD_S = (100.0, 40.0), 4.0  # constant voltages [V] and their duration [s]; they show creep
+TRIANGLES_HZ, TRIANGLES = 4.0, 8  # frequency [Hz] and number of fast triangles; they show the lag
 LOOPS_HZ = 2.0
 
 

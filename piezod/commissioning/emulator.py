@@ -13,8 +13,7 @@ from piezod.commissioning.shipped_files import shipped
 from piezod.config import BenchConfig, load_bench
 from piezod.errors import UnreachableError
 
-VIRTUAL_RATE_HZ = 200
-"""Tick rate in virtual time [Hz]: high enough for recordings at 0.1 Hz, and fast to emulate."""
+VIRTUAL_RATE_HZ = 200  # tick rate in virtual time [Hz]: high enough for recordings at 0.1 Hz, and fast to emulate
 STANDSTILL_MS = 500
 """Standstill of this machine that must not count as a lost device [ms]; virtual machines pause for 100 ms."""
 

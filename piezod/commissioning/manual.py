@@ -25,9 +25,7 @@ from piezod.report.page import write_text
 from piezod.report.style import PAGE_CSS
 from piezod.report.text_table import text_table
 
-FIRST = "overview"
-"""Topic that is shown if none is named."""
-
+FIRST = "overview"  # topic that is shown if none is named
 _READMES = {
     FIRST: "README.md",
     "config": "config/README.md",

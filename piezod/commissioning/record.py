@@ -17,8 +17,7 @@ from piezod.session.follow import OnRows, follow_session
 from piezod.session.session import Session
 from piezod.session.task import Outcome, SegmentSpec
 
-VOLTAGE = "voltage_V"
-"""Column of a recording that is driven again."""
+VOLTAGE = "voltage_V"  # column of a recording that is driven again
 
 
 def record_excitation(

@@ -21,11 +21,9 @@ LOCK_WITHIN_S = 2.0
 
 A control process whose parent was killed holds the lock until it has ramped down.
 """
-POLLS = 5
-"""Number of attempts to read the output."""
+POLLS = 5  # number of attempts to read the output
 POLL_INTERVAL_S = 0.05
-WATCHDOG_POLL_INTERVAL_S = 0.2
-"""Time between two readings while the watchdog of the device ramps down [s]."""
+WATCHDOG_POLL_INTERVAL_S = 0.2  # time between two readings while the watchdog of the device ramps down [s]
 
 
 def stop_directly(path: Path) -> str:

@@ -23,8 +23,7 @@ from piezod.session.task import Outcome, SegmentSpec
 
 OWN_REFERENCE = ("reference", "voltage", "preview")
 """Checks of the bench's own reference, which a sequence does not drive."""
-COMPLETE = 0.95
-"""Share of a step's ticks that a complete step has at least: some exchanges may fail."""
+COMPLETE = 0.95  # share of a step's ticks that a complete step has at least: some exchanges may fail
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,10 @@ from collections.abc import Sequence
 
 from piezod.control.latency import Lateness, rate_held_Hz
 
-MARGIN = 3.0
-"""Factor on the longest pause seen: a test of seconds does not see the longest pause of a day."""
+MARGIN = 3.0  # factor on the longest pause seen: a test of seconds does not see the longest pause of a day
 FEWEST_MISSED, LEAST_WATCHDOG_MS, LEAST_COMM_LOSS_MS = 5, 100, 200
 """Limits of the shipped bench; a fast machine keeps them."""
-FEWEST_STALE_TICKS = 5
-"""Ticks that a reading may be old on the shipped bench."""
+FEWEST_STALE_TICKS = 5  # ticks that a reading may be old on the shipped bench
 
 
 def suggested_limits(measured: Sequence[Lateness]) -> dict[str, float]:

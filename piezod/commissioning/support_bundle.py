@@ -33,8 +33,7 @@ from piezod.recording import check_absent, check_page
 
 REMOVED = "REMOVED"
 LAST_TICKS = 20_000
-SHORTEST_SECRET = 4
-"""Length of the shortest secret that is replaced outside the configuration [characters]."""
+SHORTEST_SECRET = 4  # length of the shortest secret that is replaced outside the configuration [characters]
 PACKAGES = ("numpy", "numba", "pyserial", "pymodbus", "PyYAML", "pydantic", "prometheus-client", "scipy", "bokeh")
 
 

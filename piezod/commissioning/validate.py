@@ -17,12 +17,9 @@ from piezod.session.session import Session
 from piezod.session.task import Outcome, SegmentSpec
 
 AMPLITUDES = (0.12, 0.24, 0.36)
-OFFSETS = (0.41, 0.59)
-"""Parts of the common force range of bench and models; the peaks stay 5 % inside the range."""
-FREQUENCY_HZ = 0.1
-"""Frequency of the references [Hz]: quasi-static, without rate dependence."""
-CYCLES = 3
-"""Number of cycles. The first begins at rest and its loop is not closed; the others are evaluated."""
+OFFSETS = (0.41, 0.59)  # parts of the common force range of bench and models; the peaks stay 5 % inside the range
+FREQUENCY_HZ = 0.1  # frequency of the references [Hz]: quasi-static, without rate dependence
+CYCLES = 3  # Number of cycles. The first begins at rest and its loop is not closed; the others are evaluated
 WITHOUT = "without"
 
 

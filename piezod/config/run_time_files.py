@@ -14,8 +14,7 @@ from pathlib import Path
 from piezod.errors import BusyError, ConfigurationError
 from piezod.runtime import sockets
 
-FILE_MODE = 0o640
-"""Mode of every run-time file: the owner writes, the group reads."""
+FILE_MODE = 0o640  # mode of every run-time file: the owner writes, the group reads
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG, errno.EMFILE, errno.ENFILE)
 """Errors of a machine that is out of space or descriptors now, and may not be later."""
 

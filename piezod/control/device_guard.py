@@ -14,16 +14,12 @@ from piezod.control.states import Cause
 from piezod.control.supervisor import Supervisor
 from piezod.transport import ExchangeResult, Link
 
-TURN_NS = 500_000_000
-"""Time in which every register is read once, where the ticks leave room [ns]."""
+TURN_NS = 500_000_000  # time in which every register is read once, where the ticks leave room [ns]
 OVERDUE_NS = 400_000_000
 """Delay of a turn after which its reads no longer wait for room; a tick may then be missed [ns]."""
-RETRY_NS = 50_000_000
-"""Pause after a failed read [ns]."""
-UNCONFIRMED_NS = 3_000_000_000
-"""Longest time without a successful read, while the exchanges succeed [ns]."""
-MARGIN_NS = 100_000
-"""Free time that is needed besides 1.25 times the duration of the exchange [ns]."""
+RETRY_NS = 50_000_000  # pause after a failed read [ns]
+UNCONFIRMED_NS = 3_000_000_000  # longest time without a successful read, while the exchanges succeed [ns]
+MARGIN_NS = 100_000  # free time that is needed besides 1.25 times the duration of the exchange [ns]
 COMPARE_NS = 50_000_000
 """Time between two comparisons of the command [ns]: the default of `limits.readback_trip_ms`, after which a foreign
 voltage that the readback shows is found. It costs 20 exchanges a second, in free time."""

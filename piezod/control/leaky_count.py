@@ -10,15 +10,12 @@ They are written when they change, so a tick whose samples are right writes noth
 from collections.abc import Sequence
 from enum import IntEnum
 
-WRONG = 3
-"""Weight of a wrong sample: samples that are wrong more often than one in four are no spikes."""
-
+WRONG = 3  # weight of a wrong sample: samples that are wrong more often than one in four are no spikes
 FIRST_COUNTER = 8
 """Number of the first counter of the ring log that belongs to the interlocks; a live reference has those before."""
 
 _SAMPLES, _LEVEL, _HIGHEST, _TRIPS_AT = range(4)
-CELLS = 4
-"""Counters of one interlock."""
+CELLS = 4  # counters of one interlock
 
 
 class CountedInterlock(IntEnum):

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 PHASES = ("read", "plan", "exchange", "check", "log")
 CAPACITY = 4096
-CELLS = 1 + CAPACITY * (len(PHASES) + 1)
-"""Number of int64 values in the shared memory."""
+CELLS = 1 + CAPACITY * (len(PHASES) + 1)  # number of int64 values in the shared memory
 _ROW = struct.Struct("<6q")
 _HEAD_BYTES = 8
 

@@ -26,8 +26,7 @@ from piezod.transport.status import STATUS_FAULTS, STATUS_MAINS_LOST, STATUS_OVE
 
 __all__ = ["CAUSE_TEXT", "Cause", "State", "Supervisor"]
 
-SILENCES = 5.0
-"""Failed exchanges that trip where no number is set, as multiple of those of a silence of `comm_loss_ms`."""
+SILENCES = 5.0  # failed exchanges that trip where no number is set, as multiple of those of a silence of `comm_loss_ms`
 _FOLLOWING = (State.ARMING, State.RUNNING, State.HOLD)
 
 

@@ -9,15 +9,10 @@ from dataclasses import dataclass
 from itertools import count
 from typing import Generic, TypeVar
 
-MAX_CLIENTS = 16
-"""Clients that are served at the same time."""
-MAX_PER_USER = 12
-"""Clients of one user that are served at the same time."""
-MAX_WAITING = 64
-"""Clients in the waiting room at the same time."""
-URGENT = ("stop", "disarm")
-"""Commands that are obeyed in the waiting room."""
-
+MAX_CLIENTS = 16  # clients that are served at the same time
+MAX_PER_USER = 12  # clients of one user that are served at the same time
+MAX_WAITING = 64  # clients in the waiting room at the same time
+URGENT = ("stop", "disarm")  # commands that are obeyed in the waiting room
 ClientT = TypeVar("ClientT")
 
 

@@ -12,14 +12,10 @@ from piezod.daemon.stop_path import urge
 from piezod.errors import CheckFailedError, TemporaryError, UnreachableError, UsageError
 from piezod.runtime import clock, sockets
 
-ANSWER_WITHIN_S = 15.0
-"""Longest time to wait for an answer of the daemon [s]."""
-URGE_WITHIN_S = 2.0
-"""Longest time to wait for the stop socket [s]."""
-POLL_INTERVAL_S = 0.1
-"""Time between two status requests while the bench arms or ramps down [s]."""
-QUEUE_INTERVAL_S = 0.01
-"""Time between two attempts to connect while other clients wait to be accepted [s]."""
+ANSWER_WITHIN_S = 15.0  # longest time to wait for an answer of the daemon [s]
+URGE_WITHIN_S = 2.0  # longest time to wait for the stop socket [s]
+POLL_INTERVAL_S = 0.1  # time between two status requests while the bench arms or ramps down [s]
+QUEUE_INTERVAL_S = 0.01  # time between two attempts to connect while other clients wait to be accepted [s]
 _FOLDERS = (Path("/run/piezod"), Path("/dev/shm"))  # noqa: S108  # default folders of the daemon's socket
 _MOVING = ("ARMING", "RAMP_DOWN")
 

@@ -11,8 +11,7 @@ from piezod.transport.bad_exchange import read_bad_exchange
 
 ANSWER_WITHIN_S = 10.0
 """Longest time from the request of a command to its answer [s]; shorter than the patience of a client."""
-AT_ONCE = ("disarm", "stop")
-"""Commands that do not wait for the answer to another command."""
+AT_ONCE = ("disarm", "stop")  # commands that do not wait for the answer to another command
 
 
 class CommandChannel:

@@ -7,9 +7,7 @@ The end of the server never leaves a task behind. The event loop would cancel it
 import asyncio
 from collections.abc import Awaitable, Callable
 
-TURNS = 4
-"""Turns of the event loop from the acceptance of a connection to the call of `Connections.accept`, at most."""
-
+TURNS = 4  # turns of the event loop from the acceptance of a connection to the call of `Connections.accept`, at most
 Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 

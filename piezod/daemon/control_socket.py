@@ -26,16 +26,12 @@ from piezod.daemon.admission import MAX_CLIENTS, MAX_PER_USER, Admission, Place
 from piezod.daemon.connections import Connections
 from piezod.errors import ConfigurationError, TemporaryError
 
-LONGEST_LINE = 4096
-"""Longest line of a client [byte]."""
-LINE_WITHIN_S = 10.0
-"""Longest time until a client has sent a line, or has read its answer [s]."""
-URGENT_WITHIN_S = 2.0
-"""Longest time until a client in the waiting room has sent its line [s]."""
+LONGEST_LINE = 4096  # longest line of a client [byte]
+LINE_WITHIN_S = 10.0  # longest time until a client has sent a line, or has read its answer [s]
+URGENT_WITHIN_S = 2.0  # longest time until a client in the waiting room has sent its line [s]
 ACCEPTED_AT_ONCE = 8
 """Connections that are accepted before the lines that have arrived are read; far below the size of the waiting room."""
-BACKLOG = 1024
-"""Connections that the kernel holds until they are accepted."""
+BACKLOG = 1024  # connections that the kernel holds until they are accepted
 _FULL_TEXT = (
     f"{MAX_CLIENTS} clients, or {MAX_PER_USER} of this user, are connected already; only stop and disarm are obeyed now"
 )

@@ -19,8 +19,7 @@ from piezod.session.session import rebuild_error
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
-READ_WITHIN_S = 20.0
-"""Longest time of reading [s]; the largest reference file takes less on a slow disk."""
+READ_WITHIN_S = 20.0  # longest time of reading [s]; the largest reference file takes less on a slow disk
 
 
 @dataclass(frozen=True)

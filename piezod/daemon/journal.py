@@ -10,12 +10,9 @@ from datetime import UTC, datetime
 
 from piezod.runtime import clock, descriptors, threads
 
-MOST_WAITING = 1000
-"""Lines that wait to be written; further ones are dropped."""
-MOST_RECENT = 1000
-"""Lines that are kept for a support bundle."""
-FLUSH_WITHIN_S = 1.0
-"""Longest time that the end of the program waits for the last lines [s]."""
+MOST_WAITING = 1000  # lines that wait to be written; further ones are dropped
+MOST_RECENT = 1000  # lines that are kept for a support bundle
+FLUSH_WITHIN_S = 1.0  # longest time that the end of the program waits for the last lines [s]
 
 
 class Journal:
@@ -82,8 +79,7 @@ class Journal:
         return True
 
 
-JOURNAL = Journal()
-"""Messages of this process."""
+JOURNAL = Journal()  # messages of this process
 
 
 def log_line(text: str) -> None:

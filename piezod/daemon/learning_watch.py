@@ -25,10 +25,8 @@ from piezod.session.learned_file import LearnedFile, most_N
 
 LEAST_PASS_S = 1.0
 """Shortest pass [s]: a correction is computed in some 10 ms, and the rows are read ten times a second."""
-READY_S = 0.3
-"""Time before the end of a repeat at which a pass ends [s], at most a quarter of the pass."""
-MOST_MISSING = 0.01
-"""Part of the ticks of a pass whose reading may be missing; they are interpolated."""
+READY_S = 0.3  # time before the end of a repeat at which a pass ends [s], at most a quarter of the pass
+MOST_MISSING = 0.01  # part of the ticks of a pass whose reading may be missing; they are interpolated
 CHANGED_V = 1e-3
 """Difference of planned and written voltage that a limit causes [V]; rounding of a float32 on the wire is smaller."""
 FROZEN_SAMPLES = 3

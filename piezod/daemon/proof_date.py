@@ -17,8 +17,7 @@ from piezod.errors import PiezodError
 from piezod.runtime import clock
 
 DAY_S = 86400.0
-LARGEST_BYTES = 1 << 20
-"""Largest record; those of a proof test have a few kilobytes."""
+LARGEST_BYTES = 1 << 20  # largest record; those of a proof test have a few kilobytes
 
 
 def _now() -> datetime:

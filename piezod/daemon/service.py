@@ -38,8 +38,7 @@ from piezod.session.lock import BenchLock
 from piezod.session.session import POLL_INTERVAL_S, Session, rebuild_error
 from piezod.session.task import Outcome
 
-RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
-"""Pauses after failed starts in a row [s]; the last value repeats."""
+RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)  # pauses after failed starts in a row [s]; the last value repeats
 CONNECTED_WITHIN_S = 120.0
 """Time for the start of a control process [s]: with an empty cache it compiles its steps before it is ready."""
 READY_WITHIN_S = 30.0
@@ -47,8 +46,7 @@ READY_WITHIN_S = 30.0
 FILES_INTERVAL_S = 0.5
 """Time between two looks at lock, sockets and ring log [s]: what is removed is noticed within a second."""
 ENDING = (signal.SIGTERM, signal.SIGINT)
-COMMANDS = ("status", "log", "arm", "disarm", "stop", "reset", "reload")
-"""Commands of the socket."""
+COMMANDS = ("status", "log", "arm", "disarm", "stop", "reset", "reload")  # commands of the socket
 
 
 class Service:

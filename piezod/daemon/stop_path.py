@@ -23,18 +23,12 @@ from piezod.errors import TemporaryError
 from piezod.runtime import clock, descriptors, sockets, threads
 
 COMMANDS = ("stop", "disarm")
-LONGEST_LINE = 256
-"""Longest line of a client [byte]."""
-LINE_WITHIN_S = 1.0
-"""Longest time until a client has sent its line [s]."""
-MOST_CLIENTS = 64
-"""Clients at the same time; the one that has waited longest leaves for another."""
+LONGEST_LINE = 256  # longest line of a client [byte]
+LINE_WITHIN_S = 1.0  # longest time until a client has sent its line [s]
+MOST_CLIENTS = 64  # clients at the same time; the one that has waited longest leaves for another
 BACKLOG = 64
-RETRY_S = 0.05
-"""Pause after a connection that cannot be accepted while no client can leave for it [s]."""
-SWITCH_INTERVAL_S = 5e-4
-"""Longest time that another thread keeps the interpreter [s]; by default ten times as long."""
-
+RETRY_S = 0.05  # pause after a connection that cannot be accepted while no client can leave for it [s]
+SWITCH_INTERVAL_S = 5e-4  # longest time that another thread keeps the interpreter [s]; by default ten times as long
 Urge = Callable[[str], str]
 
 

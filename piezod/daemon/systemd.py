@@ -9,8 +9,7 @@ import socket
 
 from piezod.runtime import clock, sockets
 
-EXTEND_S = 10
-"""Time by which `starting` extends the start timeout of systemd [s]."""
+EXTEND_S = 10  # time by which `starting` extends the start timeout of systemd [s]
 
 
 class Notifier:

@@ -174,9 +174,7 @@ class Record:
     highest: Values
 
 
-Where = tuple[str, float, float]
-"""Axis of a place, and its low and high end [unit of the axis]."""
-
+Where = tuple[str, float, float]  # axis of a place, and its low and high end [unit of the axis]
 LATE = 0.05  # of a sample: a shift of less is the moment of reading
 
 

@@ -76,8 +76,7 @@ class Memory(Protocol):
     def __setitem__(self, place: int, value: float) -> None: ...
 
 
-Step = Callable[[Memory, Memory, float], float]
-"""Function (own, shared, signal) -> output."""
+Step = Callable[[Memory, Memory, float], float]  # function (own, shared, signal) -> output
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ FINDINGS = "findings.json"  # a folder with it is the output of a diagnosis, not
 SUFFIXES = frozenset((*FORMATS, *READ_ONLY, *SPREADSHEETS))
 HEAD = 8192  # bytes in which a text file states its date
 STATED_DATE = re.compile(rb"^#\s*recorded:\s*(\S+)\s*$", re.MULTILINE)
-MARK = "archive.json"
-"""File that marks a folder with diagnoses of an archive."""
+MARK = "archive.json"  # file that marks a folder with diagnoses of an archive
 
 
 @dataclass(frozen=True)

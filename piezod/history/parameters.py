@@ -12,8 +12,7 @@ from piezod.model.base_figures import base_figures
 from piezod.model.parameters import BASE
 
 GAIN, LOOP_WIDTH = "gain", "loop_width_percent"
-ASSUMED = {GAIN: 0.01, LOOP_WIDTH: 0.05}
-"""Half of a 95 % interval that a file does not state, relative to the value."""
+ASSUMED = {GAIN: 0.01, LOOP_WIDTH: 0.05}  # half of a 95 % interval that a file does not state, relative to the value
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,9 @@ from piezod.model.parameters import Channel, Provenance, RecordingSource, Start
 from piezod.recording import Recording
 from piezod.recording.names import unit_of
 
-LEAST_EXPLAINED = 0.5
-"""Share of the output's variance that a useful model must explain."""
-
-STRUCTURED = 3.0
-"""Error, in multiples of the noise, above which an unusable model still has structured residuals."""
-
-AT_THE_NOISE = 1.1
-"""Error, in multiples of the noise, up to which no effect is missing: the noise is known to 5 %."""
+LEAST_EXPLAINED = 0.5  # share of the output's variance that a useful model must explain
+STRUCTURED = 3.0  # error, in multiples of the noise, above which an unusable model still has structured residuals
+AT_THE_NOISE = 1.1  # error, in multiples of the noise, up to which no effect is missing: the noise is known to 5 %
 
 
 @dataclass(frozen=True)

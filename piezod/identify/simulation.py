@@ -18,9 +18,7 @@ from piezod.identify.scores import largest, nrmse_percent, rms
 from piezod.model import Model, decays_of, run_chain
 from piezod.recording import Recording
 
-SLOPE_OVER = 0.01
-"""Half width of the difference that gives the slope of the force law, as share of the input's range."""
-
+SLOPE_OVER = 0.01  # half width of the difference that gives the slope of the force law, as share of the input's range
 FORGOTTEN = 1e-3
 """Strokes closer than this share of the input's range count as equal: it is the accuracy of a class 0.1 load cell."""
 

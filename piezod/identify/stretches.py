@@ -36,8 +36,7 @@ LEAST_SWING, FINE_PLAYS_PER_WIDE_PLAY = 0.25, 4
 
 Above it there is one play for every four dense ones."""
 
-START_ORDERS = (11, 3)
-"""Plays and dead zones of the fit that compares starts."""
+START_ORDERS = (11, 3)  # plays and dead zones of the fit that compares starts
 
 
 @dataclass(frozen=True)

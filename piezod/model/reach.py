@@ -4,10 +4,8 @@ import numpy as np
 
 from piezod.model.parameters import Model
 
-MOST_BEYOND = 0.1
-"""Share of the measured range by which a model that drives a bench may leave it."""
-LEAST_REACHED = 0.5
-"""Share of the measured range that such a model must reach. A gap or a drift takes far less."""
+MOST_BEYOND = 0.1  # share of the measured range by which a model that drives a bench may leave it
+LEAST_REACHED = 0.5  # Share of the measured range that such a model must reach. A gap or a drift takes far less
 
 
 def output_reach(model: Model) -> tuple[float, float]:

@@ -21,9 +21,7 @@ from piezod.arrays import Array
 from piezod.config import Section
 
 Driver = Literal["command", "rate", "direction", "way", "stroke", "reading", "reading_rate"]
-NAME = "unnamed_law"
-"""How `compensation_without` names it."""
-
+NAME = "unnamed_law"  # how `compensation_without` names it
 DRIVERS: tuple[Driver, ...] = get_args(Driver)
 """Command, its rate, direction, way since the last reversal, last stroke, expected reading, and its rate."""
 

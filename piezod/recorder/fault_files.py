@@ -19,8 +19,7 @@ from piezod.recording.formats.sqlite_tables import About
 from piezod.recording.ring_log import ROW_DTYPE
 
 FOLDER = "faults"
-Stamp = tuple[int, int]
-"""Time of day and clock of the rows, read together [ns]."""
+Stamp = tuple[int, int]  # time of day and clock of the rows, read together [ns]
 
 
 class FaultFiles:

@@ -18,11 +18,9 @@ from piezod.recording.formats.sqlite_tables import TABLES, About, append_block, 
 from piezod.runtime import descriptors
 
 SUFFIX = ".sqlite"
-PARTS = ("", "-wal", "-shm", "-journal")
-"""Suffixes of a file and of its companion files of SQLite."""
+PARTS = ("", "-wal", "-shm", "-journal")  # suffixes of a file and of its companion files of SQLite
 CHECKPOINT_PAGES = 256
-MARGIN_BYTES = 4_000_000
-"""Largest size that the write-ahead log and the last commit add while a file is closed [byte]."""
+MARGIN_BYTES = 4_000_000  # largest size that the write-ahead log and the last commit add while a file is closed [byte]
 LOCK_WAIT_S = 1.0
 
 

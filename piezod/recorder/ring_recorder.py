@@ -30,11 +30,9 @@ from piezod.recording.formats.sqlite_tables import About
 from piezod.recording.ring_log import ROW_DTYPE, RingReader
 from piezod.runtime import clock
 
-MAX_BLOCK_ROWS = 16_384
-"""Largest number of rows of one block; a backlog after a slow disk is written in several blocks."""
+MAX_BLOCK_ROWS = 16_384  # largest number of rows of one block; a backlog after a slow disk is written in several blocks
 FOLDER_MODE = 0o750
-RETRY_S = (0.0, 0.5, 1.0, 2.0, 5.0)
-"""Pauses after failed writes in a row [s]; the last value repeats."""
+RETRY_S = (0.0, 0.5, 1.0, 2.0, 5.0)  # pauses after failed writes in a row [s]; the last value repeats
 
 
 class RingRecorder:

@@ -17,16 +17,11 @@ from piezod.control import State
 from piezod.recorder.messages import Plan, Report, parse_report
 from piezod.runtime import chance, clock, processes
 
-RESTART_S = (0.0, 0.5, 1.0, 2.0, 5.0)
-"""Pauses before restarts in a row [s]; the last value repeats."""
-SILENT_S = 3.0
-"""Time without a report after which the disk counts as not answering [s]."""
-START_S = 10.0
-"""Additional time for the first report, on a busy machine [s]."""
-END_WITHIN_S = 10.0
-"""Longest time for the last rows at the end [s]."""
-HEALTHY_S = 60.0
-"""Life of a process after which its restart needs no pause [s]."""
+RESTART_S = (0.0, 0.5, 1.0, 2.0, 5.0)  # pauses before restarts in a row [s]; the last value repeats
+SILENT_S = 3.0  # time without a report after which the disk counts as not answering [s]
+START_S = 10.0  # additional time for the first report, on a busy machine [s]
+END_WITHIN_S = 10.0  # longest time for the last rows at the end [s]
+HEALTHY_S = 60.0  # life of a process after which its restart needs no pause [s]
 LONGEST_LINE = 65536
 
 

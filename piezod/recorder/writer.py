@@ -18,8 +18,7 @@ from piezod.runtime import clock, signals
 
 QUIET_S = 2.0
 """Without the daemon: time without a new row after which the process ends [s]. The control process has ended then."""
-ORPHAN_WITHIN_S = 60.0
-"""Longest life of the process after the daemon has died [s]."""
+ORPHAN_WITHIN_S = 60.0  # longest life of the process after the daemon has died [s]
 
 
 def run(

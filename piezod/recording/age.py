@@ -2,10 +2,8 @@
 
 from piezod.runtime import clock
 
-STALE_AFTER_S = 1.0
-"""Age from which values count as stale [s], at a rate of some ticks a second."""
-STALE_TICKS = 3.0
-"""Limit for a slower bench [ticks]."""
+STALE_AFTER_S = 1.0  # age from which values count as stale [s], at a rate of some ticks a second
+STALE_TICKS = 3.0  # limit for a slower bench [ticks]
 
 
 def age_s(time_ns: int) -> float:

@@ -11,9 +11,7 @@ from piezod.recording.names import TIME, unit_of
 from piezod.recording.quantities import UNITS, column_of
 from piezod.recording.recording import Recording
 
-DEFAULTS = {"input": "voltage_V", "output": "force_N"}
-"""Channels that a model is identified on unless others are named."""
-
+DEFAULTS = {"input": "voltage_V", "output": "force_N"}  # channels that a model is identified on unless others are named
 ROLE_WORDS = {
     "input": frozenset(
         ["input", "in", "u", "v", "voltage", "spannung", "tension", "command", "cmd", "drive", "excitation", "stimulus"]
@@ -43,8 +41,7 @@ NO_SIGNALS = ("time", "temperature", "current", "reference", "row")
 """Quantities that are neither input nor output unless they are named."""
 
 PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M": 1e6}
-SCALED = ("V", "N")
-"""Units of channels of any name of which a file may hold a multiple."""
+SCALED = ("V", "N")  # units of channels of any name of which a file may hold a multiple
 
 
 def factor_to(wanted: str, name: str) -> float:

@@ -61,8 +61,7 @@ FOREIGN = {
     ".raw": "imc FAMOS",
     ".bin": "catman or another program",
 }
-COMPRESSED = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z")
-"""Compressed files, which are unpacked first."""
+COMPRESSED = (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z")  # compressed files, which are unpacked first
 
 """Binary formats of other programs that are not read, by suffix."""
 
@@ -78,9 +77,7 @@ _SPREADSHEET = Format(
     ("python_calamine", "xlsx"),
 )
 
-SPREADSHEETS = {".xlsx": _SPREADSHEET, ".xls": _SPREADSHEET, ".ods": _SPREADSHEET}
-"""Workbooks, which are only read."""
-
+SPREADSHEETS = {".xlsx": _SPREADSHEET, ".xls": _SPREADSHEET, ".ods": _SPREADSHEET}  # workbooks, which are only read
 FORMATS = {
     ".csv": Format("CSV", (), open_text, write_csv),
     ".h5": _HDF5,

@@ -6,9 +6,7 @@ from pathlib import Path
 
 from piezod.errors import RecordingError
 
-TIME = "time_s"
-"""Name of the time column [s]."""
-
+TIME = "time_s"  # name of the time column [s]
 _BRACKETED = re.compile(r"^(?P<name>.*\S)\s*[\[(](?P<unit>[^\[\]()]*)[\])]$")
 _UNIT = re.compile(r"._(?P<unit>[^_]+(?:_per_[^_]+)?)$")
 _RATE = re.compile(r"._(?P<above>[numck]?m|in|deg|rad|rev)_(?P<below>s2?|min|h)$")  # velocity_cm_s

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TIME", "Array", "Recording", "check_time"]
 
-MOST_RESAMPLED = 2**29
-"""Numbers that a resampled recording may hold: 4.3 GB as float64."""
-
+MOST_RESAMPLED = 2**29  # numbers that a resampled recording may hold: 4.3 GB as float64
 UNIFORM_WITHIN = 0.01
 """Largest deviation of a sample period from the median, for uniformly sampled time [share of the median]."""
 

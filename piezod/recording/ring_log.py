@@ -38,8 +38,7 @@ COUNTERS = 64
 _COUNTERS_BYTES = 8 * COUNTERS
 _HEAD = struct.Struct("<8sQQQ")
 _COUNT_AT = 24
-MOST_BYTES = 1 << 34
-"""Largest ring log [byte]; more than any memory."""
+MOST_BYTES = 1 << 34  # largest ring log [byte]; more than any memory
 _PLACE = struct.Struct("<qqddddddqqiiiiQ")
 
 ROW_DTYPE = np.dtype(

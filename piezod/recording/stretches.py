@@ -5,14 +5,9 @@ from numpy.typing import NDArray
 
 from piezod.arrays import Array
 
-Stretch = tuple[int, int]
-"""Consecutive samples: (number of the first sample, number after the last sample)."""
-
-BLOCK = 2**20
-"""Samples that are processed together, so that temporary arrays stay small for a long recording."""
-
-GAP_PERIODS = 5
-"""Length of a pause above which it is a gap [sample periods]; a gap is never interpolated."""
+Stretch = tuple[int, int]  # consecutive samples: (number of the first sample, number after the last sample)
+BLOCK = 2**20  # samples that are processed together, so that temporary arrays stay small for a long recording
+GAP_PERIODS = 5  # length of a pause above which it is a gap [sample periods]; a gap is never interpolated
 
 
 def long_runs(values: Array, at_least: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -8,8 +8,7 @@ failed, its readings are nan.
 import numpy as np
 from numpy.typing import NDArray
 
-GOOD = 0
-"""`result` of an exchange that did not fail."""
+GOOD = 0  # `result` of an exchange that did not fail
 
 
 def pair_rows(

@@ -7,12 +7,8 @@ from numpy.typing import NDArray
 
 from piezod.arrays import Array
 
-FEWEST = 16
-"""Samples of a block in which repeated stamps can be understood; in fewer they are an error."""
-
-ROUNDED_SHARE = 0.1
-"""Share of repeated stamps from which time was rounded. Below it, a row was written twice."""
-
+FEWEST = 16  # samples of a block in which repeated stamps can be understood; in fewer they are an error
+ROUNDED_SHARE = 0.1  # Share of repeated stamps from which time was rounded. Below it, a row was written twice
 EVENLY_WITHIN = 2.0
 """Largest distance of a rounded stamp from evenly spaced times [resolutions]: rounding, and a late block."""
 

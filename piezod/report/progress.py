@@ -10,14 +10,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-SHOW_AFTER_S = 2.0
-"""A shorter task shows no bar [s]."""
-
-LINE_EVERY_S = 10.0
-"""Between two lines where stderr is no terminal [s]; a shorter task prints none."""
-
-TELLING_SHARE = 0.05
-"""Share of a task from which the time left follows."""
+SHOW_AFTER_S = 2.0  # a shorter task shows no bar [s]
+LINE_EVERY_S = 10.0  # between two lines where stderr is no terminal [s]; a shorter task prints none
+TELLING_SHARE = 0.05  # share of a task from which the time left follows
 
 
 class _Lines:

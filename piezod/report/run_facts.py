@@ -14,12 +14,9 @@ from piezod.transport.link import ExchangeResult
 
 OUTLIER = 5.0
 """Multiple of the rms error above which the largest error is an outlier: of 1e6 normal values one is larger."""
-SPIKE = 3.0
-"""Multiple of the rms error below which both neighbours of an outlier make it a single sample."""
-NEAR_S = 0.1
-"""Time before an error in which a gap or a limit counts as its reason [s]: the loop has settled after it."""
-FIRST_S = 1.0
-"""Time after the begin of RUNNING in which an error belongs to the approach [s]."""
+SPIKE = 3.0  # multiple of the rms error below which both neighbours of an outlier make it a single sample
+NEAR_S = 0.1  # time before an error in which a gap or a limit counts as its reason [s]: the loop has settled after it
+FIRST_S = 1.0  # time after the begin of RUNNING in which an error belongs to the approach [s]
 HELD_BACK = 1e-3
 """Difference of planned and written voltage that counts as held back by a limit, as share of the voltage's range."""
 

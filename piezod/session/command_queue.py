@@ -21,8 +21,7 @@ from piezod.runtime import clock
 from piezod.transport import Link
 
 NEVER_EXPIRE = ("disarm", "stop")
-VALID_FOR_S = 5.0
-"""Age above which a command is refused [s]: half of the time that the parent waits for its answer."""
+VALID_FOR_S = 5.0  # age above which a command is refused [s]: half of the time that the parent waits for its answer
 
 
 class CommandQueue:

@@ -10,8 +10,7 @@ import math
 from piezod.config import BenchConfig
 from piezod.runtime import clock
 
-LARGEST = 1024
-"""Largest file that is read [byte]."""
+LARGEST = 1024  # largest file that is read [byte]
 
 
 class HeatFile:

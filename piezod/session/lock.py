@@ -26,8 +26,7 @@ from piezod.session.device_names import device_names
 DEVICE_LOCKS = Path("/dev/shm")  # noqa: S108  # holds the folder of each user
 MODE = 0o600
 FOLDER_MODE = 0o700
-MOST_FOLDERS = 10
-"""Names that are tried for the folder of a user, if another user has made a folder of that name."""
+MOST_FOLDERS = 10  # names that are tried for the folder of a user, if another user has made a folder of that name
 STANDING = "TtZXD"
 """States of a process that does nothing (proc_pid_stat(5)): stopped, ended, or waiting for a dead disk."""
 _RETRY_S = 0.05

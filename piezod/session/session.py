@@ -25,14 +25,11 @@ if TYPE_CHECKING:
     from piezod.control import RingReader
     from piezod.model import Model
 
-POLL_INTERVAL_S = 0.1
-"""Time between two reads of the ring log [s]."""
+POLL_INTERVAL_S = 0.1  # time between two reads of the ring log [s]
 PHASE_CELLS = 24_577
 """Number of int64 values of `piezod.control.phase_times`, which a test compares; its import is slow."""
-BAD_EXCHANGE_BYTES = 648
-"""`piezod.transport.bad_exchange.SIZE`, which a test compares; its import is slow."""
-END_WITHIN_S = 30.0
-"""Longest time of a ramp down and the end of the control process [s]."""
+BAD_EXCHANGE_BYTES = 648  # `piezod.transport.bad_exchange.SIZE`, which a test compares; its import is slow
+END_WITHIN_S = 30.0  # longest time of a ramp down and the end of the control process [s]
 
 
 class Session:

@@ -10,12 +10,8 @@ from piezod.errors import ConfigurationError, UnreachableError, UsageError
 from piezod.tasks.isolated import ATTEMPTS, run_isolated
 from piezod.tasks.task import Outcome, TaskSource, failed_outcome
 
-CONNECT_S = 5.0
-"""Longest time for the scheduler to answer [s]."""
-
-PATIENCE_S = 30.0
-"""Longest time until a first worker is present [s]."""
-
+CONNECT_S = 5.0  # longest time for the scheduler to answer [s]
+PATIENCE_S = 30.0  # longest time until a first worker is present [s]
 SUBMITTED_PER_THREAD = 2
 """Tasks submitted per thread of the cluster: no thread is idle, and the scheduler stores few tasks."""
 

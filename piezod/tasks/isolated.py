@@ -13,9 +13,7 @@ from piezod.tasks.task import Outcome, Task, failed_outcome, read_outcome
 ATTEMPTS = 3
 """Processes started for a task before it counts as failed; later crashes come from the task, not from the machine."""
 
-LONGEST_S = 3600.0
-"""Time limit of a process [s]; a task takes seconds to minutes."""
-
+LONGEST_S = 3600.0  # time limit of a process [s]; a task takes seconds to minutes
 SINGLE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )

@@ -6,11 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-RUN = "run.json"
-"""File that a process writes last; without it, the folder of an outcome is incomplete."""
-
-MOST_REASON_TEXT = 500
-"""Characters of the reason of a failure."""
+RUN = "run.json"  # file that a process writes last; without it, the folder of an outcome is incomplete
+MOST_REASON_TEXT = 500  # characters of the reason of a failure
 
 
 @dataclass(frozen=True)

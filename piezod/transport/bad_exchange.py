@@ -13,13 +13,10 @@ from typing import Any
 from piezod.runtime import clock
 from piezod.transport.link import ExchangeResult
 
-KEPT_BYTES = 300
-"""Longest part of a request or a reply that is kept [bytes]; the longest Modbus frame has 260."""
-LINKS = ("link", "load_cell_link")
-"""Sections of the bench configuration, by the number in the memory."""
+KEPT_BYTES = 300  # longest part of a request or a reply that is kept [bytes]; the longest Modbus frame has 260
+LINKS = ("link", "load_cell_link")  # sections of the bench configuration, by the number in the memory
 _HEAD = struct.Struct("<6q")
-SIZE = _HEAD.size + 2 * KEPT_BYTES
-"""Size of the memory [bytes]."""
+SIZE = _HEAD.size + 2 * KEPT_BYTES  # size of the memory [bytes]
 READS = 10  # attempts against a writer; a write takes microseconds
 
 

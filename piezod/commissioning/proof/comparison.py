@@ -13,8 +13,7 @@ from piezod.config import BenchConfig
 from piezod.config.regular_file import open_regular
 from piezod.errors import PiezodError
 
-LARGEST_BYTES = 1 << 20
-"""Largest record; a proof test has a few kilobytes."""
+LARGEST_BYTES = 1 << 20  # largest record; a proof test has a few kilobytes
 _DATE = "%Y-%m-%dT%H:%M:%SZ"
 
 

@@ -23,8 +23,7 @@ from piezod.runtime import clock
 _PLAIN = struct.Struct("<QQd")
 _WITH_SESSION = struct.Struct("<QQQd")
 TAG_BYTES = 16
-LARGEST = _WITH_SESSION.size + TAG_BYTES
-"""Size of the largest datagram [byte]."""
+LARGEST = _WITH_SESSION.size + TAG_BYTES  # size of the largest datagram [byte]
 FIRST_BELOW = 2**63
 """Bound for the first number of a session, and for a session number: higher ones leave no room for later ones."""
 JUMP = 1_000_000

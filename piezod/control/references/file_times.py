@@ -6,20 +6,13 @@ from piezod.arrays import Array
 from piezod.errors import ConfigurationError
 from piezod.recording import StrictTable
 
-GAP = 10.0
-"""Longest step between two rows [median steps]. A file with a longer one lacks rows, or has two rates."""
-
-EVEN_GAP = 1.5
-"""The same for a file whose other rows are evenly spaced: there a single row is missing."""
-
+GAP = 10.0  # Longest step between two rows [median steps]. A file with a longer one lacks rows, or has two rates
+EVEN_GAP = 1.5  # the same for a file whose other rows are evenly spaced: there a single row is missing
 EVEN_SHARE, EVEN_WITHIN = 0.9, 0.02
 """Share of the steps that make rows evenly spaced, and their largest deviation from the median [median steps]."""
 
-FLOAT_ERROR = 1e-6
-"""Deviation of a time from a tick that summed or stored floating-point times have [ticks]."""
-
-FEWEST_ROUNDED = 10
-"""Rows from which unequal steps of rounded times show the tick rate."""
+FLOAT_ERROR = 1e-6  # deviation of a time from a tick that summed or stored floating-point times have [ticks]
+FEWEST_ROUNDED = 10  # rows from which unequal steps of rounded times show the tick rate
 
 
 def tick_positions(time_s: Array, rate_Hz: float, time_unit_s: float = 0.0) -> Array:

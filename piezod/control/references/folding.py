@@ -4,29 +4,14 @@ import numpy as np
 
 from piezod.arrays import Array
 
-CUTOFF = 0.53
-"""Cutoff of the low-pass filter [cycles per tick]; its transition of 0.06 then begins at one half."""
-
-HALF_WIDTH = 32
-"""Half of the filter's length [ticks]: Kaiser (1974), transition 0.06 cycles per tick at 60 dB."""
-
-KAISER_BETA = 5.65
-"""Kaiser window for 60 dB: 0.1102 (60 - 8.7)."""
-
-WINDOW = 128
-"""Length of the stretches that are examined [ticks]: a single jump disturbs less than half of one."""
-
-SHARE = 1e-3
-"""Amplitude that counts [share of the range]. Three written digits round by half of it."""
-
-MOST_PER_TICK = 64
-"""Largest number of points per tick that are examined."""
-
-FEWEST_TICKS = 8
-"""Ticks below which a file is not examined: its ends are corners, and they make up too much of it."""
-
-BLOCK = 2**14
-"""Ticks that are filtered together."""
+CUTOFF = 0.53  # cutoff of the low-pass filter [cycles per tick]; its transition of 0.06 then begins at one half
+HALF_WIDTH = 32  # half of the filter's length [ticks]: Kaiser (1974), transition 0.06 cycles per tick at 60 dB
+KAISER_BETA = 5.65  # Kaiser window for 60 dB: 0.1102 (60 - 8.7)
+WINDOW = 128  # length of the stretches that are examined [ticks]: a single jump disturbs less than half of one
+SHARE = 1e-3  # Amplitude that counts [share of the range]. Three written digits round by half of it
+MOST_PER_TICK = 64  # largest number of points per tick that are examined
+FEWEST_TICKS = 8  # ticks below which a file is not examined: its ends are corners, and they make up too much of it
+BLOCK = 2**14  # ticks that are filtered together
 
 
 def folding_amplitude(positions: Array, values: Array) -> tuple[float, float]:

@@ -29,8 +29,7 @@ from piezod.arrays import Array
 
 Spectrum = NDArray[np.complex128]
 
-OBSERVED = 2
-"""Repeats before the first correction: their difference tells what repeats."""
+OBSERVED = 2  # repeats before the first correction: their difference tells what repeats
 LEAST_NEW_PART = 0.5
 """Least weight of the newest repeat in the average of what the model misses: a harmonic that changes by no more than
 noise. One that changes by more has a weight up to one."""
@@ -48,12 +47,9 @@ GROWS = 1.2
 MOST_GROWING = 4
 """Repeats in a row with a growing error, or a force that answers the wrong way, after which learning stops. The first
 may be a change of the bench; from the second on, each has half the gain of the one before."""
-HARM = 4.0
-"""A correction does harm where the power of the error within an octave is four times that without it."""
-SMALL = 0.1
-"""A growth by less than a tenth of the whole power is none."""
-LOWEST_HARMONIC = 4
-"""Octaves begin above this harmonic: below, a step of the load is as large as what a mode does."""
+HARM = 4.0  # a correction does harm where the power of the error within an octave is four times that without it
+SMALL = 0.1  # a growth by less than a tenth of the whole power is none
+LOWEST_HARMONIC = 4  # octaves begin above this harmonic: below, a step of the load is as large as what a mode does
 HARM_WHOLE = 3.0
 """It does harm too where three errors in a row are three times that without it; a step of the load raises two."""
 MOST_HARMS = 3
@@ -62,10 +58,8 @@ CAUTIOUS = 0.25
 """Part of the first correction in the upper four octaves: a mode may answer ten times as much as was asked for."""
 LONGEST_DELAY_S = 0.2
 REMEMBERED = 100
-KEPT = 3
-"""Repeats that a correction is computed from: two changes, of which a single event is in one only."""
-LOCAL_PART = 0.05
-"""The response is smooth over 5 % of a frequency on either side: a mode of 5 % damping is as wide."""
+KEPT = 3  # repeats that a correction is computed from: two changes, of which a single event is in one only
+LOCAL_PART = 0.05  # the response is smooth over 5 % of a frequency on either side: a mode of 5 % damping is as wide
 EXPLAINED = 0.5
 """A change of the force is the answer to a change of the correction where half of its power is coherent with it."""
 DOUBT = 30.0

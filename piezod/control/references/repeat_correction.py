@@ -18,8 +18,7 @@ from piezod.arrays import Array
 
 HEAD_CELLS = 4
 _USED, _OFFERED, _EXCHANGED, _FIRST = range(HEAD_CELLS)
-BLEND_PART = 20
-"""An exchange is blended in over this part of a repeat: short beside it, long beside a tick."""
+BLEND_PART = 20  # an exchange is blended in over this part of a repeat: short beside it, long beside a tick
 
 
 def correction_cells(ticks: int) -> int:

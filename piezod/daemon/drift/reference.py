@@ -19,11 +19,9 @@ from numpy.typing import NDArray
 
 from piezod.daemon.drift.blocks import KELVIN, PARTS, Block, Cell
 
-FEWEST = 60
-"""Blocks of a cell before one is ranked: the rank of a jump then pays 27 times (`alarm.STAKE`)."""
+FEWEST = 60  # blocks of a cell before one is ranked: the rank of a jump then pays 27 times (`alarm.STAKE`)
 MOST_CELLS = 256  # of a reference: 4 MB
-DELAY = 12
-"""Blocks after which a block joins the reference: twice the blocks in which a jump is seen."""
+DELAY = 12  # blocks after which a block joins the reference: twice the blocks in which a jump is seen
 FIRST_STRETCH = 360
 """Blocks of the first stretch of driving: an hour of blocks of 10 s. An input that is new later is other work."""
 STEP = 0.005  # of the logarithm of a distance, over the model's own error: 0.5 %

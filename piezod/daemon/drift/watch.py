@@ -28,10 +28,8 @@ from piezod.recording.ticks import GOOD, pair_rows
 from piezod.runtime import clock, threads
 from piezod.session.history import is_tracking
 
-LIMIT_IN_MODEL_ERRORS = 3.0
-"""Default limit, as a multiple of the held-out rms error of the model."""
-LIMIT_IN_RANGES = 0.01
-"""Default limit as a part of the force range, for a model without a held-out error."""
+LIMIT_IN_MODEL_ERRORS = 3.0  # default limit, as a multiple of the held-out rms error of the model
+LIMIT_IN_RANGES = 0.01  # default limit as a part of the force range, for a model without a held-out error
 DAY_S = 86400.0
 SAVED_EVERY = 360  # windows after which the reference is written: an hour of windows of 10 s
 

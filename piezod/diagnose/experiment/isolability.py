@@ -28,9 +28,7 @@ from piezod.estimation.recordings.sources import Source
 from piezod.model import Model
 
 Places = NDArray[np.intp]
-Settings = Mapping[str, Setting]
-"""Fitted parameters and choices of effects and their rivals, by name."""
-
+Settings = Mapping[str, Setting]  # fitted parameters and choices of effects and their rivals, by name
 NEARBY = 1.1  # factor on each parameter of a fitted effect, for the changes by which it may imitate another one
 SIGNIFICANT = 3.0  # least difference of two effects [standard deviations]
 LARGE = 3.0  # largest size at which effects should be visible and separable [noise rms]; larger ones are obvious

@@ -30,9 +30,7 @@ from piezod.model.unnamed_law import (
     positions,
 )
 
-Form = tuple[tuple[Driver, ...], bool]
-"""Drivers of a law, and whether it is a gain."""
-
+Form = tuple[tuple[Driver, ...], bool]  # drivers of a law, and whether it is a gain
 ROWS = 6000  # rows of a recording, each a mean over a box of samples
 MOST_ROWS = 30_000  # rows for the fit of the chosen law
 AS_WELL = 1.1  # largest error ratio at which a law that also holds in the identification recordings is preferred

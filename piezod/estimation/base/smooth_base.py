@@ -31,9 +31,7 @@ CONTINUES = 1e-9
 """Weight of first differences, which fixes the undetermined slopes: below the data's part, above rounding."""
 
 MOST_STEPS = 15
-ENOUGH = 1e-6
-"""Share of the squared error by which a further step must be expected to lower it."""
-
+ENOUGH = 1e-6  # share of the squared error by which a further step must be expected to lower it
 MOST_ROWS = 100_000
 """Rows in the sums of the steps. A longer recording is averaged to so many; the last step sums over every sample."""
 

@@ -8,8 +8,7 @@ from piezod.arrays import Array
 from piezod.estimation.fit.normal_equations import Sums
 from piezod.estimation.fit.quadratic_program import Constraints, solve_step
 
-SHORTENED = 0.25
-"""Factor by which a step that raises the cost is shortened."""
+SHORTENED = 0.25  # factor by which a step that raises the cost is shortened
 
 
 def minimise(

@@ -18,17 +18,10 @@ from numpy.typing import NDArray
 from piezod.arrays import Array
 from piezod.estimation.fit.columns import CHUNK, PlaySegments, Samples, Structure, clocks_of, zone_segments
 
-GROUPS = 8
-"""Groups of bands; each is held out once."""
-
-BANDS = 16
-"""Bands of the input's range. On concealed plants 16 gave smaller errors on new recordings than 8, 24 and 32."""
-
-STILL_OVER = 64 * CHUNK
-"""Number of first samples from which the mean speed of the input is computed."""
-
-STILL = 0.005
-"""Share of its swing that the input may move within samples that are averaged."""
+GROUPS = 8  # groups of bands; each is held out once
+BANDS = 16  # Bands of the input's range. On concealed plants 16 gave smaller errors on new recordings than 8, 24 and 32
+STILL_OVER = 64 * CHUNK  # number of first samples from which the mean speed of the input is computed
+STILL = 0.005  # share of its swing that the input may move within samples that are averaged
 
 
 @dataclass(frozen=True)

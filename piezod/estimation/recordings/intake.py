@@ -29,20 +29,13 @@ from piezod.recording.stretches import gaps
 
 OnStep = Callable[[str, float | None], None]
 
-CHUNK = 2**20
-"""Samples read at once."""
-
+CHUNK = 2**20  # samples read at once
 TEMPERATURES = ("temperature_C", "temperature_degC")
 """Names of temperature columns [degree Celsius]; the recording gets the first name."""
 
-UNSEEN = 0.01
-"""Share of its swing that the input may move while samples are missing."""
-
-FASTEST = 0.99
-"""Quantile of the slew rates that stands for the input's fastest one."""
-
-MOST_STUCK = 0.5
-"""Share of the output's samples that may be frozen or clipped."""
+UNSEEN = 0.01  # share of its swing that the input may move while samples are missing
+FASTEST = 0.99  # quantile of the slew rates that stands for the input's fastest one
+MOST_STUCK = 0.5  # share of the output's samples that may be frozen or clipped
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from piezod.estimation.recordings.stuck import StuckStretches
 from piezod.recording.recording import Recording
 from piezod.recording.stretches import Stretch, extreme_periods, gaps
 
-MOST_PLACES = 5
-"""Gaps that a line lists."""
+MOST_PLACES = 5  # gaps that a line lists
 
 
 def describe_timing(recording: Recording) -> list[str]:

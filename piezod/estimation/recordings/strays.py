@@ -19,33 +19,22 @@ from piezod.estimation.recordings.noise import white_noise
 from piezod.recording.recording import Recording
 from piezod.recording.stretches import BLOCK, stretches_of
 
-LARGEST = 1e30
-"""Magnitude beyond which a value is infinite, or stands for a missing sample: 9.97e36, 3.4e38."""
-
-LONGEST = 4
-"""Longest run of strays [samples]; a longer one may be a pulse or a frozen reading."""
-
+LARGEST = 1e30  # magnitude beyond which a value is infinite, or stands for a missing sample: 9.97e36, 3.4e38
+LONGEST = 4  # longest run of strays [samples]; a longer one may be a pulse or a frozen reading
 NOISES, STEPS, RANGES = 20.0, 4.0, 0.01
 """Least leap: in standard deviations of the noise, in usual steps, and as share of the usual range. 123 recordings of
 emulated and real benches have the same strays by 0.05, 0.02, 0.01 and 0.005 of the range."""
 
-TYPICAL_STEP = 0.9
-"""Quantile of the steps other than 0 that is the usual step."""
-
+TYPICAL_STEP = 0.9  # quantile of the steps other than 0 that is the usual step
 COMES_BACK = 0.25
 """Largest difference of the samples on both sides, and largest answer of the other channel [share of the leap]."""
 
 ANSWERS_WITHIN = 64
 """Samples before a reading, or behind a command, in which the other channel may have caused or answered a leap."""
 
-MOST = 0.05
-"""Share of the samples above which leaps belong to the signal."""
-
-MOST_LOST = 0.2
-"""Share of the samples above which values far outside the range of all others are no lost frames."""
-
-FEWEST_LOST, MOST_NAMED = 3, 3
-"""Strays of one value that are lost frames; strays that a note names one by one."""
+MOST = 0.05  # share of the samples above which leaps belong to the signal
+MOST_LOST = 0.2  # share of the samples above which values far outside the range of all others are no lost frames
+FEWEST_LOST, MOST_NAMED = 3, 3  # strays of one value that are lost frames; strays that a note names one by one
 
 
 @dataclass(frozen=True)

@@ -21,29 +21,20 @@ from piezod.arrays import Array
 from piezod.estimation.recordings.noise import white_noise
 from piezod.recording.stretches import Stretch, long_runs, pairs
 
-SHORTEST = 5
-"""Shortest run that is tested [samples]; a shorter one does not affect a fit."""
-
-UNUSUAL = 10
-"""Factor above the usual move of the drive, the usual step of the reading, or the noise of the drive."""
-
+SHORTEST = 5  # shortest run that is tested [samples]; a shorter one does not affect a fit
+UNUSUAL = 10  # factor above the usual move of the drive, the usual step of the reading, or the noise of the drive
 SMALLEST_MOVE = 0.005
 """Smallest move of the drive in a stuck run [share of the drive's swing]; a smaller one does not affect a fit."""
 
 TRIMMED = 10
 """Denominator of the share of a run that is ignored at each end, because a reading may follow its drive late."""
 
-ALTERNATING = 0.3
-"""Share of consecutive steps of opposite sign above which a reading is noisy; white noise has 2/3."""
-
+ALTERNATING = 0.3  # share of consecutive steps of opposite sign above which a reading is noisy; white noise has 2/3
 WINDOWS, WINDOW, FEWEST_RUNS = 16, 2**16, 100
 """Windows of a long recording for its usual motion; number of windows, samples of each, least number of runs."""
 
-FOLLOWS = 0.3
-"""Smallest magnitude of the correlation between reading and drive; below it a reading is not tested."""
-
-Runs = tuple[NDArray[np.intp], NDArray[np.intp]]
-"""(first samples, samples after the ends) of runs, each shape (runs,)."""
+FOLLOWS = 0.3  # smallest magnitude of the correlation between reading and drive; below it a reading is not tested
+Runs = tuple[NDArray[np.intp], NDArray[np.intp]]  # (first samples, samples after the ends) of runs, each shape (runs,)
 
 
 @dataclass(frozen=True)

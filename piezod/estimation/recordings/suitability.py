@@ -21,15 +21,9 @@ PLAUSIBLE = {"V": (5.0, 1500.0, "a piezo amplifier drives"), "N": (0.5, 50_000.0
 """Range of the largest value by unit, from the amplifiers and stacks on the market."""
 
 RATES_HZ = (0.1, 1e6)
-LOOSE, OPPOSITE = 0.3, -0.5
-"""Correlations below which the output hardly follows the input, or runs against it."""
-
-QUIET = 10.0
-"""Smallest swing, in standard deviations of the noise."""
-
-LEAST_RETURN = 0.1
-"""Share of its swing by which the input must turn back."""
-
+LOOSE, OPPOSITE = 0.3, -0.5  # correlations below which the output hardly follows the input, or runs against it
+QUIET = 10.0  # smallest swing, in standard deviations of the noise
+LEAST_RETURN = 0.1  # share of its swing by which the input must turn back
 SLOW = (0.1, 0.5)
 """Shares of the drive's power in its slow part: the fundamental of triangles, the slowest tenth of a broadband drive.
 
@@ -38,21 +32,14 @@ Where the slowest tenth repeats no rise, as the trend of a decaying sine, the sl
 SLOW_CYCLES = 10
 """Cycles in the recording that the slow part holds at least: slower ones are a trend of a decaying or random drive."""
 
-LEADS = 0.01
-"""Mean opening of a clockwise loop, as share of the output's range, above which the output leads the input."""
-
-CLEANER = 5.0
-"""Ratio of output noise to input noise above which the input is a command, not a measured force."""
-
+LEADS = 0.01  # mean opening of a clockwise loop, as share of the output's range, above which the output leads the input
+CLEANER = 5.0  # ratio of output noise to input noise above which the input is a command, not a measured force
 SCATTERED = 1.0 / 3.0
 """Share of the output's variance outside a loop, above which no columns are swapped: 409 of 410 recordings of emulated
 benches, half of them swapped, leave less; the 18 pairs of a mirror that three stacks move (CubeSpec) leave 0.4 to 1."""
 
-SATURATED = 0.25
-"""Share of the input's swing over which the output may stay within 1 % of its range below the maximum."""
-
-BLOCK = 2**20
-"""Samples in a block; a statistic needs no more."""
+SATURATED = 0.25  # share of the input's swing over which the output may stay within 1 % of its range below the maximum
+BLOCK = 2**20  # samples in a block; a statistic needs no more
 
 
 @dataclass(frozen=True)

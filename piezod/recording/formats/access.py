@@ -11,8 +11,7 @@ from typing import Any, BinaryIO
 from piezod.config.regular_file import open_regular
 from piezod.errors import ConfigurationError, RecordingError
 
-MOST_ERROR_TEXT = 200
-"""Characters of a library's error text that a message quotes."""
+MOST_ERROR_TEXT = 200  # characters of a library's error text that a message quotes
 
 
 def import_library(module: str, extra: str, path: Path) -> Any:  # noqa: ANN401  a module without type information

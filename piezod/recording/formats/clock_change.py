@@ -6,12 +6,8 @@ from piezod.arrays import Array
 from piezod.recording.formats.text_cells import DAY_S
 
 CHANGE_S = 3600.0
-WITHIN_STEPS = 5.0
-"""Largest deviation of the jump from an hour [steps]: some rows may be missing or late."""
-
-SLOWEST_S = 60.0
-"""Longest usual step in which an hour stands out [s]."""
-
+WITHIN_STEPS = 5.0  # largest deviation of the jump from an hour [steps]: some rows may be missing or late
+SLOWEST_S = 60.0  # longest usual step in which an hour stands out [s]
 EARLIEST_S, LATEST_S = 0.8 * 3600.0, 3.2 * 3600.0
 """Local time before the jump [s after midnight]: the clocks of Europe and America change between 1 and 3 o'clock."""
 

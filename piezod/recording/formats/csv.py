@@ -21,14 +21,9 @@ from piezod.recording.names import TIME, channel_name, name_columns
 from piezod.recording.quantities import Column, is_unit
 from piezod.recording.recording import Recording
 
-LONGEST_LINE = 2**22
-"""Length of a line [bytes]."""
-
-MOST_HEAD_LINES = 10_000
-"""Lines within which the header row must come."""
-
-WRITTEN_ROWS = 2**14
-"""Rows that are formatted together."""
+LONGEST_LINE = 2**22  # length of a line [bytes]
+MOST_HEAD_LINES = 10_000  # lines within which the header row must come
+WRITTEN_ROWS = 2**14  # rows that are formatted together
 
 
 def own_layout(path: Path, *, required: bool = False) -> Layout | None:

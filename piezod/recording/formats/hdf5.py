@@ -36,8 +36,7 @@ MOST_ATTRIBUTE_BYTES = 2**16
 """Size of an attribute: HDF5 keeps it in the header of its object, which has at most 64 KiB."""
 
 DEEPEST = 16
-MOST_COLUMNS = 64
-"""Columns of a matrix that is a table; the longer side counts the samples."""
+MOST_COLUMNS = 64  # columns of a matrix that is a table; the longer side counts the samples
 
 
 class Vector(NamedTuple):

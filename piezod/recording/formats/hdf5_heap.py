@@ -17,9 +17,7 @@ from typing import BinaryIO
 from piezod.errors import RecordingError
 
 SIGNATURE = b"GCOL\x01\0\0\0"
-BLOCK = 2**22
-"""Bytes that are searched together."""
-
+BLOCK = 2**22  # bytes that are searched together
 OBJECT = struct.Struct("<H6xQ")
 
 

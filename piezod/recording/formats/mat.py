@@ -29,23 +29,14 @@ from piezod.recording.names import TIME
 from piezod.recording.recording import Recording
 
 VERSION_7_3 = b"MATLAB 7.3"
-METADATA = "metadata"
-"""Name of the character variable that holds the metadata, one line `key: value` per entry."""
-
-MOST_TEXT = 10**6
-"""Characters that the metadata may have."""
-
+METADATA = "metadata"  # name of the character variable that holds the metadata, one line `key: value` per entry
+MOST_TEXT = 10**6  # characters that the metadata may have
 LABELS, VALUES = ("name", "label", "signalname"), ("values", "data", "value", "samples", "y")
 """Fields of a struct that name a vector, and that hold it."""
 
-UNITS = ("unit", "units")
-"""Fields of a struct that hold the unit of its vector."""
-
-MOST_LABEL = 100
-"""Characters of such a name."""
-
-LONGEST_NAME = 31
-"""Characters that the name of a variable may have in version 5."""
+UNITS = ("unit", "units")  # fields of a struct that hold the unit of its vector
+MOST_LABEL = 100  # characters of such a name
+LONGEST_NAME = 31  # characters that the name of a variable may have in version 5
 
 
 def open_mat(

@@ -18,15 +18,9 @@ import numpy as np
 
 from piezod.arrays import Array
 
-HEADER = 128
-"""Size of the file's header [bytes]."""
-
-MATRIX, DEFLATED = 14, 15
-"""Types of element."""
-
-HEAD = 4096
-"""Bytes at the beginning of a variable that must hold its flags, dimensions and name."""
-
+HEADER = 128  # size of the file's header [bytes]
+MATRIX, DEFLATED = 14, 15  # types of element
+HEAD = 4096  # bytes at the beginning of a variable that must hold its flags, dimensions and name
 STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """Type of element to type of its numbers."""
 
@@ -35,18 +29,12 @@ TEXT = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: 
 
 CLASSES = ["unknown", "cell", "struct", "object", "char", "sparse", "double", "single"]
 CLASSES += ["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "function", "opaque"]
-NUMBERS = set(CLASSES[6:16])
-"""Classes of full matrices of numbers."""
-
-COMPLEX = 0x0800
-"""Flag of a matrix with an imaginary part."""
+NUMBERS = set(CLASSES[6:16])  # classes of full matrices of numbers
+COMPLEX = 0x0800  # flag of a matrix with an imaginary part
 
 
-MOST_COLUMNS = 64
-"""Columns of a matrix that is a table; the longer side counts the samples."""
-
-DEEPEST = 16
-"""Structs within structs."""
+MOST_COLUMNS = 64  # columns of a matrix that is a table; the longer side counts the samples
+DEEPEST = 16  # structs within structs
 
 
 @dataclass(frozen=True)

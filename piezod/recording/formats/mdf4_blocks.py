@@ -16,9 +16,7 @@ from typing import BinaryIO
 from piezod.errors import RecordingError
 from piezod.recording.formats.stream import check_claimed_size
 
-HEADER_BLOCK = 64
-"""Position of the first block."""
-
+HEADER_BLOCK = 64  # position of the first block
 STRUCTURE = {
     b"##HD": (0, 1, 2, 3, 4),  # data groups, history, hierarchy, attachments, events
     b"##DG": (0, 1, 2),  # next, channel groups, data
@@ -40,8 +38,7 @@ GROUPS = {(b"##HD", 0): b"##DG", (b"##DG", 0): b"##DG", (b"##DG", 1): b"##CG", (
 LISTS = {b"##DL", b"##LD"}
 """Blocks of which every link leads to a child."""
 
-COMMENT = 5
-"""Index of the link from the first block to its comment."""
+COMMENT = 5  # index of the link from the first block to its comment
 
 
 def check_blocks(path: Path) -> None:

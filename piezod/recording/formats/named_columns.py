@@ -24,11 +24,8 @@ Raw = dict[str, NDArray[Any]]
 Pieces = Callable[[Sequence[str], int], Iterator[Raw]]
 """Function of (paths, number of samples): yields the stored numbers or dates by path, in the order of time."""
 
-LOOKED_AT = 1000
-"""Samples of a time without a unit that decide about its unit."""
-
-MOST_LISTED = 300
-"""Characters of a list of columns in a message."""
+LOOKED_AT = 1000  # samples of a time without a unit that decide about its unit
+MOST_LISTED = 300  # characters of a list of columns in a message
 
 
 class Stored(NamedTuple):

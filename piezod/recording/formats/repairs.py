@@ -25,8 +25,7 @@ _MISSING_FORM = re.compile(
 MINUS = str.maketrans(dict.fromkeys("\u2212\u2010\u2011\u2012\u2013\ufe63\uff0d", "-"))
 """The typographic minus and the dashes that programs write before numbers."""
 
-MOST_QUOTED = 40
-"""Characters of a line that a note quotes."""
+MOST_QUOTED = 40  # characters of a line that a note quotes
 
 
 def is_missing(text: str) -> bool:

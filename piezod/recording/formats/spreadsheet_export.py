@@ -20,14 +20,9 @@ from piezod.recording.formats.text_layout import TextOptions, find_layout
 SEPARATOR = "\t"
 NO_TABLE = "holds no table of numbers"
 
-MOST_MEMORY = 2**31
-"""Address space of the child [byte]. A full sheet of a million rows and ten columns takes 1 GB."""
-
-MOST_TEXT = 2**30
-"""Largest exported text [byte]: a hundred million cells."""
-
-WITHIN_S = 120
-"""Processor time of the child [s]; a full sheet takes 20 s."""
+MOST_MEMORY = 2**31  # Address space of the child [byte]. A full sheet of a million rows and ten columns takes 1 GB
+MOST_TEXT = 2**30  # largest exported text [byte]: a hundred million cells
+WITHIN_S = 120  # processor time of the child [s]; a full sheet takes 20 s
 
 
 def export_table(path: Path, exported: Path, options: TextOptions) -> str:

@@ -28,11 +28,8 @@ from piezod.recording.hold import HELD_ONE_SAMPLE
 from piezod.recording.names import TIME, name_columns
 from piezod.recording.recording import Recording
 
-WRITTEN_BLOCK_BYTES = 2**21
-"""Size of the rows in a block that `write_sqlite` writes, before compression [bytes]."""
-
-SMALLEST_BLOCK = 16
-"""Size that a block has at least in a file [bytes]."""
+WRITTEN_BLOCK_BYTES = 2**21  # size of the rows in a block that `write_sqlite` writes, before compression [bytes]
+SMALLEST_BLOCK = 16  # size that a block has at least in a file [bytes]
 
 
 def write_sqlite(recording: Recording, path: Path) -> None:

@@ -15,12 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_BYTES = 2**26
-"""Size that the rows of a block may have after decompression [bytes]."""
-
-MOST_FIELDS = 4096
-"""Fields that a row may have."""
-
+MOST_BYTES = 2**26  # size that the rows of a block may have after decompression [bytes]
+MOST_FIELDS = 4096  # fields that a row may have
 FORMATS = ("<f8", "<i8", "<i4")
 
 _HEAD = struct.Struct("<IQqq")

@@ -13,8 +13,7 @@ from piezod.recording.ticks import GOOD, pair_rows
 COMMANDS = ("voltage_V", "reference_N", "planned_V")
 READINGS = ("force_N", "readback_V", "temperature_C")
 OTHERS = ("tick", "state", "cause", "result", "segment", "lateness_ns", "exchange_ns")
-WALL = "wall_s"
-"""Time of day [s since 1970, UTC]."""
+WALL = "wall_s"  # time of day [s since 1970, UTC]
 
 
 def sample_names(absent: Collection[str]) -> tuple[str, ...]:

@@ -23,11 +23,8 @@ TABLES = {
     "block": "CREATE TABLE block (id INTEGER PRIMARY KEY, crc INTEGER NOT NULL, data BLOB NOT NULL)",
 }
 
-MOST_VALUE_BYTES = 2**27
-"""Size that a value read from a file may have [bytes]."""
-
-WAIT_S = 5.0
-"""Longest time that a reader waits for a lock of the writer [s]."""
+MOST_VALUE_BYTES = 2**27  # size that a value read from a file may have [bytes]
+WAIT_S = 5.0  # longest time that a reader waits for a lock of the writer [s]
 
 
 @dataclass(frozen=True)

@@ -12,26 +12,13 @@ from piezod.recording.names import TIME
 from piezod.recording.recording import Recording
 from piezod.recording.time_stamps import TimeStamps
 
-Table = dict[str, Array]
-"""Column name to values; all values of a table have equal lengths."""
-
-MOST_VALUES = 2**29
-"""Numbers that a recording may hold: 4.3 GB as float64."""
-
-UNCHECKED_VALUES = 1_000_000
-"""Numbers that a file of any size may claim to hold."""
-
-VALUES_PER_BYTE = 1000
-"""Further numbers that a file may claim per byte of its size; the deflate algorithm reaches 129."""
-
-READ_CHUNK = 2**20
-"""Samples per chunk when a file is read completely."""
-
-GROWTH = 1.1
-"""Factor by which a full buffer grows."""
-
-MOST_SKIPPED_TEXT = 500
-"""Characters of the list of skipped parts."""
+Table = dict[str, Array]  # column name to values; all values of a table have equal lengths
+MOST_VALUES = 2**29  # numbers that a recording may hold: 4.3 GB as float64
+UNCHECKED_VALUES = 1_000_000  # numbers that a file of any size may claim to hold
+VALUES_PER_BYTE = 1000  # further numbers that a file may claim per byte of its size; the deflate algorithm reaches 129
+READ_CHUNK = 2**20  # samples per chunk when a file is read completely
+GROWTH = 1.1  # factor by which a full buffer grows
+MOST_SKIPPED_TEXT = 500  # characters of the list of skipped parts
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,8 @@ from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.names import TIME, unit_of
 from piezod.recording.recording import Recording
 
-GROUP = "recording"
-"""Name of the group that is written."""
-
-SEGMENT = 2**16
-"""Samples of each channel in one segment that is written."""
-
+GROUP = "recording"  # name of the group that is written
+SEGMENT = 2**16  # samples of each channel in one segment that is written
 SHORTEST_CHUNK = 2**20
 """Smallest chunk [samples]: nptdms reads the complete segment for any part of it, and some files have long segments."""
 
@@ -91,8 +87,7 @@ class _BoundedReader(io.BufferedReader):
         return super().read(min(size, max(remaining, 0)))
 
 
-Begins = list[tuple[int, Any]]
-"""(sample, `wf_start_time`) of each session of a waveform."""
+Begins = list[tuple[int, Any]]  # (sample, `wf_start_time`) of each session of a waveform
 
 
 def _begins_of_waveforms(nptdms: Any, path: Path) -> dict[str, Begins]:  # noqa: ANN401

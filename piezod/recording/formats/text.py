@@ -35,12 +35,8 @@ from piezod.recording.names import TIME
 from piezod.recording.quantities import UNITS
 from piezod.recording.recording import Recording
 
-BLOCK = 2**22
-"""Characters that are parsed together: the numbers fit into the processor's cache, and calls cost little."""
-
-LARGE = 2**24
-"""File size above which parsing by pyarrow saves more time than its import costs [bytes]."""
-
+BLOCK = 2**22  # characters that are parsed together: the numbers fit into the processor's cache, and calls cost little
+LARGE = 2**24  # file size above which parsing by pyarrow saves more time than its import costs [bytes]
 OVERLOADS = (9.9e37, 9.91e37)
 """Infinity, of either sign, and not-a-number of SCPI (1999.0, volume 1, 7.2.1.4 and 7.2.1.5)."""
 

@@ -11,9 +11,7 @@ from piezod.recording.formats.repairs import MINUS, is_missing
 COMMENTS = ("#", "%", "//", "!")
 """Marks at the start of a line without samples."""
 
-ZONE = "%z"
-"""End of the form of a date or time that states its time zone."""
-
+ZONE = "%z"  # end of the form of a date or time that states its time zone
 ZONES_H = {
     "z": 0,
     "utc": 0,
@@ -55,9 +53,7 @@ _DATES: tuple[str, ...] = (
     "%d/%m/%y",
 )
 _DATES += ("%m/%d/%y", "%d-%m-%Y", "%m-%d-%Y", "%d-%b-%Y", "%d-%b-%y", "%d %b %Y", "%b %d, %Y", "%a %b %d %Y")
-YEARS = (1970, 2100)
-"""Years of a date; eight digits with another year are a number."""
-
+YEARS = (1970, 2100)  # years of a date; eight digits with another year are a number
 DAY_S = 86400.0
 
 

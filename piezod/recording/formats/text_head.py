@@ -18,21 +18,11 @@ from piezod.recording.formats.text_cells import (
 from piezod.recording.names import TIME, unit_of
 from piezod.recording.quantities import UNITS, Column, column_of, is_unit
 
-MOST_PREAMBLE_LINES = 1000
-"""Lines before the first row of numbers."""
-
-MOST_HEAD_ROWS = 5
-"""Rows of names, units and information on the channels, directly above the samples."""
-
-SECONDS = ("s", "ms", "us", "ns")
-"""Units by which the only column that has one of them is the time."""
-
-ROW = "row"
-"""Name of a first column without a name that counts rows."""
-
-YEARS = (1_000_000_000, 4_000_000_000)
-"""Times since 1970 that are taken for such: from 2001 to 2096 [s]."""
-
+MOST_PREAMBLE_LINES = 1000  # lines before the first row of numbers
+MOST_HEAD_ROWS = 5  # rows of names, units and information on the channels, directly above the samples
+SECONDS = ("s", "ms", "us", "ns")  # units by which the only column that has one of them is the time
+ROW = "row"  # name of a first column without a name that counts rows
+YEARS = (1_000_000_000, 4_000_000_000)  # times since 1970 that are taken for such: from 2001 to 2096 [s]
 _INTERVAL = re.compile(
     r"(?i)^\W*(sample[ _]interval|sample[ _]time|sampling[ _](?:interval|period)|time[ _]?increment|increment|delta_x"
     r"|dt|abtastintervall|abtastzeit|xincr\w*|horizontal interval)\b[^0-9+\-.]*(?P<value>[0-9.,eE+\-]+)"

@@ -38,18 +38,11 @@ from piezod.recording.formats.text_head import (
 )
 from piezod.recording.quantities import Column
 
-SAMPLE = 2**18
-"""Bytes from the begin of the file that decide about its layout."""
-
+SAMPLE = 2**18  # bytes from the begin of the file that decide about its layout
 SEPARATORS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", " ": "spaces"}
-MOST_LEFT_OUT = 200
-"""Characters of the list of ignored columns."""
-
-FEWEST_NUMBERS = 2
-"""Columns of numbers of a table that has columns of words too."""
-
-FEWEST_ROWS = 2
-"""Rows of numbers that a table must begin with, so that a line of the preamble is not taken for one."""
+MOST_LEFT_OUT = 200  # characters of the list of ignored columns
+FEWEST_NUMBERS = 2  # columns of numbers of a table that has columns of words too
+FEWEST_ROWS = 2  # rows of numbers that a table must begin with, so that a line of the preamble is not taken for one
 
 
 @dataclass(frozen=True)

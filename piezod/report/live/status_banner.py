@@ -28,9 +28,7 @@ _SYMBOLS = {
     State.RUNNING.name: "\N{BLACK RIGHT-POINTING TRIANGLE}",
 }
 _LAST_EVENTS = 8
-FEW_MISSED = 1e-4
-"""Share of missed ticks that a machine may have: `piezod latency` calls such a rate held."""
-
+FEW_MISSED = 1e-4  # share of missed ticks that a machine may have: `piezod latency` calls such a rate held
 INK_CSS = """
 :host { color: #1b1d20; }
 @media screen and (prefers-color-scheme: dark) { :host { color: #e3e5e8; } }

@@ -5,8 +5,7 @@ from pathlib import Path
 
 from piezod.report.next_step.step import BENCH, LATER, RICH, NextStep, command, model_line
 
-UNFINISHED = ("unexplained", "partly_explained")
-"""Verdicts that leave something to find."""
+UNFINISHED = ("unexplained", "partly_explained")  # verdicts that leave something to find
 ANOTHER_STUDY = 60  # cases: two hours of one core
 
 

@@ -6,16 +6,12 @@ from pathlib import Path
 from typing import Any
 
 BENCH, LATER = Path("BENCH.yaml"), Path("LATER.csv")
-AT_NOISE = 1.3
-"""Error, in multiples of the noise, that counts as noise: `diagnose.findings.ABOVE_NOISE`."""
-RESTING = 1.1
-"""Limit for held-out data of an identification: `identify.identification.AT_THE_NOISE`."""
-STRUCTURED = 3.0
-"""Error of a useless model, in multiples of the noise, above which it has structure: as in `identify`."""
+AT_NOISE = 1.3  # error, in multiples of the noise, that counts as noise: `diagnose.findings.ABOVE_NOISE`
+RESTING = 1.1  # limit for held-out data of an identification: `identify.identification.AT_THE_NOISE`
+STRUCTURED = 3.0  # error of a useless model, in multiples of the noise, above which it has structure: as in `identify`
 CLOSE = 0.99
 """Explained share of the variance below which a static model lacks more than noise: identified stacks reach 0.999."""
-RICH = "staircase-minor-loops-multisine"
-"""Excitation that shows most effects: rests, minor loops, and many rates."""
+RICH = "staircase-minor-loops-multisine"  # excitation that shows most effects: rests, minor loops, and many rates
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,7 @@ UNITS = {
     "missed_ticks": "",
     "failed_exchanges": "",
 }
-AT_LEAST = ("lowest_force_N",)
-"""Limits that a value must not be below; it must not be above the others."""
+AT_LEAST = ("lowest_force_N",)  # limits that a value must not be below; it must not be above the others
 HEADER = ("step", "figure", "measured", "limit", "result")
 
 Result = Literal["passed", "FAILED", "not run"]
