@@ -22,6 +22,7 @@ from piezod.model.information import Information, marginal
 
 DISCOVERIES = 0.05  # largest expected share of unchanged effects among those called changed
 HALF_95 = 1.96  # half of a 95 % interval [standard errors]
+LEAST = 1e-10  # least information in a direction, relative to that of a parameter whose companions are known
 DETERMINED = 1e-12  # least information on a parameter, relative to that of a relative error of 1
 
 
@@ -69,24 +70,46 @@ def joint_estimate(
     if not seen.any():
         return None
     searched = [pair for pair, is_seen in zip(searched, seen, strict=True) if is_seen]
-    before = np.linalg.inv(information[np.ix_(seen, seen)])
+    before = covariance_of(information[np.ix_(seen, seen)])
     moves = left_out_moves(normal)[:, [place for place, _ in searched]]
     since = covariance(moves, np.array([_form_error(parameter, given[parameter.name]) for _, parameter in searched]))
     values = changed.point.values[next(k for k, term in enumerate(changed.terms) if term.effect.name == name)]
     old = np.array([scaled(parameter, given[parameter.name]) for _, parameter in searched])
     new = np.array([scaled(parameter, values[parameter.name]) for _, parameter in searched])
-    weighted = np.linalg.solve(before + since, np.column_stack((new - old, before)))
-    joint, both = old + before @ weighted[:, 0], before - before @ weighted[:, 1:]
+    p, joint, both = averaged(old, new, before, since)
     parameters = [parameter for _, parameter in searched]
     half = HALF_95 * np.sqrt(np.maximum(np.diag(both), 0.0))
     return JointEstimate(
-        float(chdtrc(old.size, float((new - old) @ weighted[:, 0]))),
+        p,
         {**values, **_by_name(parameters, joint)},
         {
             parameter.name: (unscaled(parameter, centre - width), unscaled(parameter, centre + width))
             for parameter, centre, width in zip(parameters, joint, half, strict=True)
         },
     )
+
+
+def averaged(old: Array, new: Array, before: Array, since: Array) -> tuple[float, Array, Array]:
+    """Probability of such a difference by chance, average of two estimates, and its covariance.
+
+    Parameters
+    ----------
+    old, new
+        Estimates, shape (P,).
+    before, since
+        Their covariances, shape (P, P).
+    """
+    weighted = np.linalg.solve(before + since, np.column_stack((new - old, before)))
+    p = float(chdtrc(old.size, float((new - old) @ weighted[:, 0])))
+    return p, old + before @ weighted[:, 0], before - before @ weighted[:, 1:]
+
+
+def covariance_of(information: Array) -> Array:
+    """Inverse of an information matrix, shape (P, P); a direction without information gets a large variance."""
+    scale = np.sqrt(np.diag(information))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    inverse: Array = (vectors / np.maximum(values, LEAST)) @ vectors.T / np.outer(scale, scale)
+    return inverse
 
 
 def agreeing(estimates: Mapping[str, JointEstimate], effects: int) -> dict[str, JointEstimate]:
