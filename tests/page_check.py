@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.benches.browser import VIEWPORTS, chromium
-from tests.screenshots import commissioned, compared, diagnosed, run_page, running, watch
+from tests.screenshots import commissioned, compared, diagnosed, history_pages, run_page, running, watch
 
 SERIOUS = ("serious", "critical")
 SETTLED_MS = 1000
@@ -56,7 +56,7 @@ def _every_kind(folder: Path) -> Iterator[tuple[str, str]]:
     demo = folder / "demo.html"
     subprocess.run([sys.executable, "-m", "piezod", "demo", "--report", demo], check=True, stdout=subprocess.DEVNULL)
     diagnosis = diagnosed(folder)
-    pages = [run_page(folder), demo, diagnosis, *compared(folder), *commissioned(folder)]
+    pages = [run_page(folder), demo, diagnosis, *compared(folder), *commissioned(folder), *history_pages(folder)]
     for page in pages:
         yield "diagnosis.html" if page == diagnosis else page.name, page.as_uri()
 

@@ -6,6 +6,7 @@ It needs chromium and playwright. It takes some minutes, mainly for identificati
 import argparse
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -142,6 +143,17 @@ def compared(folder: Path) -> tuple[Path, Path]:
     _piezod("compare", folder / "work.csv", *given, "--report", folder / "comparison.html")
     _piezod("resid", folder / "work.csv", "--model", models[1], "--report", folder / "residual.html")
     return folder / "comparison.html", folder / "residual.html"
+
+
+def history_pages(folder: Path) -> tuple[Path, Path]:
+    """The pages of two models, and of an archive of one bench, after `diagnosed` and `commissioned`."""
+    _piezod("history", ROOT / "config" / "model.yaml", folder / "diagnosis", "-o", folder / "history.html")
+    bench, excitation = folder / "archive" / "press", folder / "seed" / "varying-triangles"
+    bench.mkdir(parents=True)
+    shutil.copy(excitation.with_suffix(".yaml"), bench / "model.yaml")
+    shutil.copy(excitation.with_suffix(".csv"), bench)
+    _piezod("history", folder / "archive", "-o", folder / "pages", "--jobs", 1)
+    return folder / "history.html", folder / "pages" / "fleet.html"
 
 
 def _piezod(*arguments: object) -> None:

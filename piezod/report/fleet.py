@@ -37,7 +37,7 @@ def next_after(fleet: Fleet, archives: Sequence[Path], folder: Path) -> NextStep
     unfinished = next(
         ((bench.name, bench.run.model_paths[-1]) for bench in fleet.benches if bench.verdict in UNFINISHED), None
     )
-    return after_fleet(archives, folder, unfinished=unfinished, failed=failed)
+    return after_fleet(archives, folder, recordings=fleet.recordings, unfinished=unfinished, failed=failed)
 
 
 def fleet_text(fleet: Fleet) -> str:

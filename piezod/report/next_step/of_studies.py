@@ -34,7 +34,12 @@ def after_history(newest: Path, *, changed: bool, verdict: str | None) -> NextSt
 
 
 def after_fleet(
-    archives: Sequence[Path], folder: Path, *, unfinished: tuple[str, Path] | None, failed: Path | None
+    archives: Sequence[Path],
+    folder: Path,
+    *,
+    recordings: int,
+    unfinished: tuple[str, Path] | None,
+    failed: Path | None,
 ) -> NextStep:
     """The bench or the recording to look at first.
 
@@ -42,6 +47,8 @@ def after_fleet(
     ----------
     archives, folder
         Archives, and the folder of the pages.
+    recordings
+        Number of recordings.
     unfinished
         Name and newest model of a bench whose newest recording is not explained; None: there is none.
     failed
@@ -58,6 +65,8 @@ def after_fleet(
         )
         return NextStep(f"more is left at {name}; record there the drive that shows more", drive)
     words = "nothing: every newest recording is explained; repeat it after the next recordings"
+    if not recordings:
+        words = "put recordings that their models do not know into the folders of the benches, and repeat it"
     return NextStep(words, (command("history", *archives, "-o", folder),))
 
 

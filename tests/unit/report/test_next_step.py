@@ -77,9 +77,10 @@ ALL = [
         for changed in (True, False)
         for verdict in (None, "matches", "unexplained")
     ),
-    steps.after_fleet([FOLDER], FOLDER, unfinished=None, failed=None),
-    steps.after_fleet([FOLDER], FOLDER, unfinished=("press", MODEL), failed=None),
-    steps.after_fleet([FOLDER], FOLDER, unfinished=("press", MODEL), failed=REC),
+    steps.after_fleet([FOLDER], FOLDER, recordings=2, unfinished=None, failed=None),
+    steps.after_fleet([FOLDER], FOLDER, recordings=2, unfinished=("press", MODEL), failed=None),
+    steps.after_fleet([FOLDER], FOLDER, recordings=2, unfinished=("press", MODEL), failed=REC),
+    steps.after_fleet([FOLDER], FOLDER, recordings=0, unfinished=None, failed=None),
     steps.after_blind_make(FOLDER),
     steps.after_blind_run(FOLDER, Path("verdicts"), complete=True),
     steps.after_blind_run(FOLDER, Path("verdicts"), complete=False),
