@@ -1,7 +1,7 @@
 """Read, identify, simulate, diagnose."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -14,7 +14,7 @@ from piezod.api.results import Diagnosed, Identified
 from piezod.diagnose.diagnosis import diagnose as diagnosis_of
 from piezod.diagnose.verdict.identified import identified_information
 from piezod.errors import RecordingError, UsageError
-from piezod.estimation.recordings.intake import LoadedRecording
+from piezod.estimation.recordings.intake import LoadedRecording, OnStep
 from piezod.estimation.recordings.sources import Source, past_sources
 from piezod.identify.identification import identify as identification_of
 from piezod.identify.options import Options
@@ -24,8 +24,6 @@ from piezod.model import file_sha256
 from piezod.recording import Recording, TextOptions
 from piezod.recording import read_recording as recording_from
 from piezod.recording.conversion import choose_columns, in_units_of
-
-OnStep = Callable[[str, float | None], None]
 
 
 def read_recording(

@@ -2,9 +2,9 @@
 
 import difflib
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from piezod.config.yaml_reader import Document
@@ -18,6 +18,7 @@ class Section(BaseModel):
 
 
 SectionT = TypeVar("SectionT", bound=BaseModel)
+Positive = Annotated[float, Field(gt=0)]
 
 LONGEST_VALUE = 60  # characters of a value or key in a message
 _LIMIT_WORDS = {

@@ -5,9 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from piezod.config.checked import Section, require
-
-Positive = Annotated[float, Field(gt=0)]
+from piezod.config.checked import Positive, Section, require
 
 
 class LimitsConfig(Section):

@@ -8,7 +8,6 @@ from pydantic import Field, model_validator
 from piezod.config.checked import Section
 from piezod.config.host_name import HostName
 
-Positive = Annotated[float, Field(gt=0)]
 WordOrder = Literal["AB", "BA", "ABCD", "CDAB", "BADC", "DCBA"]
 RegisterType = Literal["int16", "uint16", "int32", "float32"]
 

@@ -4,9 +4,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from piezod.config.checked import Section, require
+from piezod.config.checked import Positive, Section, require
 
-Positive = Annotated[float, Field(gt=0)]
 EndAction = Literal["hold", "ramp_down"]
 MOST_BYTES = 1 << 26
 """Largest reference file [byte]: two million rows of four columns; reading takes up to 8 s and 0.8 GB."""

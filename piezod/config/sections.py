@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from piezod.config.checked import Section, require
+from piezod.config.checked import Positive, Section, require
 
 Precondition = Literal["identity", "map_version", "device_watchdog", "voltage_readback", "sign_check"]
 
@@ -21,8 +21,8 @@ class RealTimeConfig(Section):
 class SignCheckConfig(Section):
     """A small voltage step that must raise the force: it tests polarity, cable and preload before anything else."""
 
-    step_V: Annotated[float, Field(gt=0)] = 2.0
-    rise_N: Annotated[float, Field(gt=0)] = 0.5
+    step_V: Positive = 2.0
+    rise_N: Positive = 0.5
     settle_s: Annotated[float, Field(gt=0, le=60)] = 0.1
 
 
@@ -33,9 +33,9 @@ class ArmingConfig(Section):
     """
 
     reset_cycle: bool = True
-    voltage_V_per_s: Annotated[float, Field(gt=0)] = 200.0
-    readback_within_V: Annotated[float, Field(gt=0)] = 2.0
-    agree_within_N: Annotated[float, Field(gt=0)] | None = None
+    voltage_V_per_s: Positive = 200.0
+    readback_within_V: Positive = 2.0
+    agree_within_N: Positive | None = None
     sign_check: SignCheckConfig = SignCheckConfig()
     without: Annotated[tuple[Precondition, ...], Field(strict=False)] = ()
 
@@ -49,7 +49,7 @@ class DaemonConfig(Section):
     socket_group: Annotated[str, Field(min_length=1)] | None = None
     socket_mode: Annotated[str, Field(pattern=r"^0?[0-7]{3}$")] = "0660"
     metrics_port: Annotated[int, Field(ge=0, le=65535)] | None = None
-    slow_phase_ms: Annotated[float, Field(gt=0)] | None = None
+    slow_phase_ms: Positive | None = None
     railed_after_s: Annotated[float, Field(gt=0, le=3600)] = 1.0
 
 
@@ -87,7 +87,7 @@ class DriftConfig(Section):
     """
 
     window_s: Annotated[float, Field(ge=1, le=3600)] = 10.0
-    beyond_N: Annotated[float, Field(gt=0)] | None = None
+    beyond_N: Positive | None = None
     false_alarm_days: Annotated[float, Field(ge=1, le=36500)] = 365.0
     tolerance: Annotated[float, Field(ge=0, le=10)] = 0.05
     keep_s: Annotated[float, Field(ge=10, le=3600)] = 120.0
@@ -112,5 +112,5 @@ class LearningConfig(Section):
     `most_N` is the largest correction [N]; None: a quarter of the span of the reference. `file` keeps the correction.
     """
 
-    most_N: Annotated[float, Field(gt=0)] | None = None
+    most_N: Positive | None = None
     file: str | None = None

@@ -1,7 +1,7 @@
 """Diagnosis of files: `piezod diagnose` writes findings and the extended model into a folder."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from piezod.diagnose.findings import HeldOut, Verdict, above_noise
 from piezod.diagnose.judgement import Diagnosis, with_words
 from piezod.diagnose.verdict.simulated import free_run, tared_rms
 from piezod.errors import ConfigurationError, UsageError
+from piezod.estimation.recordings.intake import OnStep
 from piezod.estimation.recordings.layout import layout_of
 from piezod.estimation.recordings.sources import Source, past_sources, read_source
 from piezod.model import Model, file_sha256, load_model, save_model
@@ -20,8 +21,6 @@ WORSE = 1.02  # error ratio above which a model is worse on a held-out recording
 LOWERED: dict[Verdict, Verdict] = {"explained": "partly_explained", "matches": "unexplained"}
 """Verdict if the error of a held-out recording exceeds the noise."""
 MOST_UNCERTAIN = 0.5  # highest confidence of an effect that makes a held-out recording worse: as likely wrong as right
-
-OnStep = Callable[[str, float | None], None]
 
 
 def diagnose_files(
