@@ -121,11 +121,6 @@ class EmulatorConfig(Section):
 def load_config(path: Path) -> EmulatorConfig:
     """Read the configuration of the emulator.
 
-    Parameters
-    ----------
-    path
-        YAML file.
-
     Raises
     ------
     ConfigurationError
@@ -136,11 +131,6 @@ def load_config(path: Path) -> EmulatorConfig:
 
 def configured_scenario(config: EmulatorConfig) -> Scenario:
     """Return the scenario of a configuration, with its overrides and effects.
-
-    Parameters
-    ----------
-    config
-        Configuration of the emulator.
 
     Raises
     ------

@@ -31,8 +31,6 @@ def build_device(config: EmulatorConfig, effects: tuple[str, ...] = ()) -> Devic
 
     Parameters
     ----------
-    config
-        Configuration of the emulator.
     effects
         Names of further effects.
 

@@ -44,10 +44,6 @@ class Device:
 
     Parameters
     ----------
-    bench
-        Physics of the bench.
-    firmware
-        Settings of the firmware.
     time
         `real`: device time follows `now_ns`. `virtual`: it follows the writes of the set point.
     now_ns

@@ -24,8 +24,6 @@ class LineProtocol:
 
     Parameters
     ----------
-    device
-        Device to serve.
     settings
         Commands, replies and terminator.
     """

@@ -24,8 +24,6 @@ def remove_older_than_sources(sources: Path, cache: Path) -> None:
     ----------
     sources
         Folder of the Python sources.
-    cache
-        Folder of the cached kernels.
     """
     newest_s = max(source.stat().st_mtime for source in sources.glob("*.py"))
     for index in cache.glob("*.nbi"):

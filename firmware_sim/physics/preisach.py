@@ -28,8 +28,6 @@ def everett(parameters: Record, low_V: float, high_V: float) -> float:
 
     Parameters
     ----------
-    parameters
-        Parameter record of a bench.
     low_V, high_V
         Reversals of the input [V], low at most high.
     """
@@ -49,8 +47,6 @@ def virgin(parameters: Record, field_V: float) -> float:
 
     Parameters
     ----------
-    parameters
-        Parameter record of a bench.
     field_V
         Input of the plane [V].
     """

@@ -13,8 +13,6 @@ class LineConnection(asyncio.Protocol):
 
     Parameters
     ----------
-    device
-        Device to serve.
     settings
         Commands, replies and terminator.
     """

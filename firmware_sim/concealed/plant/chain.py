@@ -60,10 +60,6 @@ class Plant:
 
         Parameters
         ----------
-        drive
-            Commands of the record.
-        effects
-            Active effects, by name.
         seed
             Seed of phases and random walks in this record; the noise has its own.
         """

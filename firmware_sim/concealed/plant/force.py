@@ -17,8 +17,6 @@ def true_force(context: RecordContext, law: ForceLaw, stroke: Signal) -> Signal:
     ----------
     context
         Drive and active effects of the record.
-    law
-        Force law of the plant.
     stroke
         Free stroke, on the fine grid [V].
     """

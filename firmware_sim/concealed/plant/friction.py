@@ -75,8 +75,6 @@ def maxwell_slip(force_N: Array, coulomb_N: float, presliding_N: float, seed: in
     ----------
     force_N, coulomb_N, presliding_N
         As for `friction_force`.
-    seed
-        Seed of the elements' limits.
     """
     rng = np.random.Generator(np.random.PCG64(seed))
     widths = np.sort(rng.uniform(0.05, 2.5, ELEMENTS))

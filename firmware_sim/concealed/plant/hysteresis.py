@@ -33,8 +33,6 @@ class Hysteresis:
 
     Parameters
     ----------
-    kind
-        Kind of the operator.
     operator
         Tabulated Preisach plane, or stops.
     scale
@@ -81,10 +79,6 @@ def draw_hysteresis(rng: np.random.Generator, kind: Kind, reach_V: float) -> Hys
 
     Parameters
     ----------
-    rng
-        Source of the random draws.
-    kind
-        Kind of the operator.
     reach_V
         Highest voltage of the plant [V], above 0.
     """
@@ -104,8 +98,6 @@ def draw_noncongruent(rng: np.random.Generator, reach_V: float) -> Hysteresis:
 
     Parameters
     ----------
-    rng
-        Source of the random draws.
     reach_V
         Highest voltage of the plant [V], above 0.
     """
@@ -122,10 +114,6 @@ def calibrated(kind: Kind, operator: Everett | Stops, reach_V: float, opening: f
 
     Parameters
     ----------
-    kind
-        Kind of the operator.
-    operator
-        Operator to scale.
     reach_V
         Highest voltage of the plant [V], above 0.
     opening

@@ -52,8 +52,6 @@ def everett_by_width(rng: np.random.Generator, reach_V: float) -> Everett:
 
     Parameters
     ----------
-    rng
-        Source of the random draws.
     reach_V
         Highest voltage of the plant [V], above 0.
     """
@@ -71,8 +69,6 @@ def everett_interpolated(rng: np.random.Generator, reach_V: float) -> Everett:
 
     Parameters
     ----------
-    rng
-        Source of the random draws.
     reach_V
         Highest voltage of the plant [V], above 0.
     """
@@ -89,8 +85,6 @@ def everett_by_bias(rng: np.random.Generator, reach_V: float) -> Everett:
 
     Parameters
     ----------
-    rng
-        Source of the random draws.
     reach_V
         Highest voltage of the plant [V], above 0.
     """

@@ -60,10 +60,6 @@ class RecordContext:
 
     Parameters
     ----------
-    drive
-        Commands of the record.
-    effects
-        Active effects, by name.
     reach_V, full_N
         Ranges of voltage [V] and force [N].
     seed

@@ -80,8 +80,6 @@ def noise(rng: np.random.Generator, samples: int, rms: float, kind: str, rate_Hz
     ----------
     rng
         Source of the random draws.
-    samples
-        Number of samples n.
     rms
         Standard deviation, in the unit of the result.
     kind
@@ -142,8 +140,6 @@ def at_rail(values: Array, time_s: Array, spans_s: Sequence[tuple[float, float]]
     ----------
     values, time_s, spans_s
         As for `frozen`.
-    rail
-        Reading at the rail.
     """
     result = values.copy()
     for start_s, end_s in spans_s:

@@ -36,8 +36,6 @@ class Figure:
 
     Parameters
     ----------
-    name
-        Name of the row.
     value
         Value, in the unit of `least` and `aim`; None: nothing to count.
     count

@@ -21,8 +21,6 @@ class Confusion:
     ----------
     effect
         Name of the effect, catalogue or foreign.
-    true
-        Number of cases with the effect.
     named
         Those of them in which it was named.
     rival

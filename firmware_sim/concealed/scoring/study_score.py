@@ -15,8 +15,6 @@ def score_study(directory: Path, verdicts: Path, *, partial: bool = False) -> li
 
     Parameters
     ----------
-    directory
-        Directory of the study.
     verdicts
         Directory with one folder per case.
     partial

@@ -46,8 +46,6 @@ class Verdict:
     ----------
     verdict
         One of `VERDICTS`.
-    effects
-        NamedEffect effects.
     where
         Places of the whole mismatch.
     elapsed_s
@@ -71,13 +69,7 @@ class Verdict:
 
 
 def sealed_at(directory: Path) -> datetime:
-    """Time at which a study was sealed.
-
-    Parameters
-    ----------
-    directory
-        Folder of the study.
-    """
+    """Time at which a study was sealed."""
     seal = json.loads((directory / SEAL).read_text(encoding="utf-8"))
     return datetime.fromisoformat(seal["made"])
 

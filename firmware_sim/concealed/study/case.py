@@ -57,8 +57,6 @@ class Record:
     ----------
     name
         File name.
-    drive
-        Commands.
     seed
         Seed of noise, phases and random walks in this record.
     tare_N
@@ -84,8 +82,6 @@ class Case:
         One of `plan.KINDS`.
     plant
         Plant without effects.
-    noise
-        Noise of its readings.
     records
         Identification record, one or two recordings of work, held-out record.
     effects

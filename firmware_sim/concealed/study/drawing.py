@@ -69,8 +69,6 @@ def draw_case(spec: CaseSpec, seed: np.random.SeedSequence) -> Case:
     ----------
     spec
         Kind of the case and names of its effects.
-    seed
-        Seed of the case.
 
     Raises
     ------
@@ -277,8 +275,6 @@ def superposition_misfit(hysteresis: Hysteresis, voltage_V: Array, rate_Hz: floa
 
     Parameters
     ----------
-    hysteresis
-        Operator.
     voltage_V
         Voltages, shape (n,) [V].
     rate_Hz

@@ -21,8 +21,6 @@ class Family:
 
     Parameters
     ----------
-    hysteresis
-        Kind of the operator.
     creep, rate, friction
         Laws of these effects: of `creep.LAWS`, `stroke.RATE_LAWS` and `friction.LAWS`.
     in_front

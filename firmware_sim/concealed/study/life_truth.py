@@ -20,8 +20,6 @@ class TrueLife:
 
     Parameters
     ----------
-    name
-        Name of its folder.
     family, change, effect
         As in `lives.Life`.
     scale
@@ -64,11 +62,6 @@ def holds_lives(directory: Path) -> bool:
 
 def read_lives(directory: Path) -> list[TrueLife]:
     """Read every life of a study, after a check of its seal.
-
-    Parameters
-    ----------
-    directory
-        Folder of the study.
 
     Raises
     ------

@@ -42,8 +42,6 @@ class Step:
     ----------
     case
         Plant and effects while it was made.
-    record
-        Its drive.
     """
 
     case: Case
@@ -94,8 +92,6 @@ def draw_life(family: str, change: str, seed: np.random.SeedSequence) -> Life:
         One of `families.FAMILIES`.
     change
         One of `CHANGES`.
-    seed
-        Seed of the life.
 
     Raises
     ------

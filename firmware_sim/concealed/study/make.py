@@ -46,8 +46,6 @@ def make(
     ----------
     directory
         Directory of the study; created if missing.
-    cases
-        Number of cases.
     seed
         Seed of the study; None draws one from the operating system.
     kind, effect, strength, families
@@ -57,8 +55,6 @@ def make(
         in the range, with an unknown past.
     varied
         Whether the benches are varied (`bench.draw_varied_bench`).
-    jobs
-        Number of processes.
 
     Raises
     ------
@@ -130,8 +126,6 @@ def make_case(
         Name of the case and of its folder.
     spec
         Kind of the case and names of its effects.
-    seed
-        Seed of the case.
     begin_s
         Time of the first sample that is written of its recordings of work [s]; 0: at rest.
 
@@ -177,10 +171,6 @@ def write_record(path: Path, case: Case, record: Record, begin_s: float = 0.0) -
 
     Parameters
     ----------
-    path
-        CSV file.
-    case
-        The case.
     record
         One of its records, or one with another drive.
     begin_s

@@ -35,14 +35,10 @@ def make_lives(
     ----------
     directory
         Directory of the study; created if missing.
-    lives
-        Number of lives.
     seed
         Seed of the study; None draws one from the operating system.
     families
         Families of the plants, in turn.
-    jobs
-        Number of processes.
 
     Raises
     ------

@@ -68,8 +68,6 @@ class Manner:
         Whether the time between samples varies, by up to half of its mean.
     voltage_noise
         Standard deviation on the recorded voltage [range].
-    names
-        Columns of the file.
     volt, newton, second
         One of each in the units of the file.
     noise

@@ -36,8 +36,6 @@ def case_specs(
     ----------
     rng
         Random numbers of the plan.
-    cases
-        Number of cases.
     kind
         One of `KINDS`, or `all`.
     effect

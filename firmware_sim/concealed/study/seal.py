@@ -75,8 +75,6 @@ def sealed_arrays(directory: Path, case: str) -> Path:
     ----------
     directory
         Folder of the study.
-    case
-        Name of the case.
     """
     return directory / "sealed" / f"{case}.sealed"
 
@@ -88,8 +86,6 @@ def write_seal(directory: Path, files: list[Path], **fields: object) -> None:
     ----------
     directory
         Directory of the study, which gets `seal.json`.
-    files
-        Sealed files.
     fields
         Further fields of `seal.json`.
     """
@@ -101,11 +97,6 @@ def write_seal(directory: Path, files: list[Path], **fields: object) -> None:
 
 def open_truth(directory: Path) -> dict[str, object]:
     """Truth of a study, after a check of its seal.
-
-    Parameters
-    ----------
-    directory
-        Folder of the study.
 
     Raises
     ------

@@ -46,8 +46,6 @@ class TrueCase:
 
     Parameters
     ----------
-    name
-        Name of its folder.
     kind
         One of `plan.KINDS`.
     effects
@@ -81,11 +79,6 @@ class TrueCase:
 
 def read_truth(directory: Path) -> list[TrueCase]:
     """Read every case of a study, after a check of its seal.
-
-    Parameters
-    ----------
-    directory
-        Folder of the study.
 
     Raises
     ------
