@@ -116,10 +116,11 @@ class DeviceGuard:
             return _OK
         needed_ns, free_ns = exchange_ns * 5 // 4 + MARGIN_NS, self._clock.time_left_ns()
         overdue = now_ns - self._compared_ns > OVERDUE_NS
-        if not exchange_ns or (free_ns < needed_ns and not overdue):
+        wakes_late = 4 * self._clock.lateness_ns > free_ns  # it may again, and another wake-up would cost the next tick
+        if not exchange_ns or ((free_ns < needed_ns or wakes_late) and not overdue):
             return _OK
         if free_ns < NO_DEADLINE_NS:
-            self._clock.wait_until_left(max(needed_ns, free_ns // 2))  # half of it remains for a late wake-up
+            self._clock.sleep_until_before(max(needed_ns, free_ns // 2))  # half of it is left for a late wake-up
             if self._clock.time_left_ns() < needed_ns and not overdue:
                 return _OK
         result = self._link.compare_command()

@@ -251,10 +251,10 @@ class ControlLoop:
 
     def _wait(self) -> None:
         """Wait for the next tick; compare the command of the device shortly before it, when that is due."""
-        found = self._guard.compare_command()
-        if found > ExchangeResult.UNVERIFIED:
+        result = self._guard.compare_command()
+        if result > ExchangeResult.UNVERIFIED:
             self._writer.name_restart()
-            self._guard.evaluate(found)
+            self._guard.evaluate(result)
         self._clock.wait()
 
     def run_tick(self) -> None:

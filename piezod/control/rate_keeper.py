@@ -39,8 +39,8 @@ class RateKeeper(Protocol):
         """Time until the next deadline [ns]; negative after it."""
         ...
 
-    def wait_until_left(self, left_ns: int) -> None:
-        """Sleep until the next deadline is `left_ns` [ns] away; returns at once where it is nearer."""
+    def sleep_until_before(self, before_ns: int) -> None:
+        """Sleep until `before_ns` [ns] before the next deadline; returns at once where that has passed."""
         ...
 
     def wait(self) -> None:
@@ -79,9 +79,9 @@ class RealRateKeeper:
         """Time until the next deadline [ns]; negative after it."""
         return self._deadline_ns + self._period_ns - clock.monotonic_ns()
 
-    def wait_until_left(self, left_ns: int) -> None:
-        """Sleep until the next deadline is `left_ns` [ns] away; returns at once where it is nearer."""
-        early_ns = self.time_left_ns() - left_ns
+    def sleep_until_before(self, before_ns: int) -> None:
+        """Sleep until `before_ns` [ns] before the next deadline; returns at once where that has passed."""
+        early_ns = self.time_left_ns() - before_ns
         if early_ns > 0:
             clock.sleep(1e-9 * early_ns)
 
@@ -132,7 +132,7 @@ class VirtualRateKeeper:
         """`NO_DEADLINE_NS`: an exchange may take any time."""
         return NO_DEADLINE_NS
 
-    def wait_until_left(self, left_ns: int) -> None:
+    def sleep_until_before(self, before_ns: int) -> None:
         """No effect: virtual time has no deadlines."""
 
     def wait(self) -> None:

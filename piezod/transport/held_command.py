@@ -40,11 +40,11 @@ class HeldSetPoint:
         """Compare the reply to `request` with the last values sent; `number` is in them already."""
         del number
         sent = self._written.frame[self._at : self._at + self._bytes]
-        found = wire.payload[self.request.payload_at : self.request.payload_at + self._bytes]
-        if found == sent:
+        held = wire.payload[self.request.payload_at : self.request.payload_at + self._bytes]
+        if held == sent:
             return ExchangeResult.OK
-        same_number = found[self._number] == sent[self._number]
-        return ExchangeResult.SETPOINT_CHANGED if same_number else ExchangeResult.FOREIGN_COMMAND
+        number_agrees = held[self._number] == sent[self._number]
+        return ExchangeResult.SETPOINT_CHANGED if number_agrees else ExchangeResult.FOREIGN_COMMAND
 
 
 class HeldNumber:
@@ -67,5 +67,5 @@ class HeldNumber:
 
     def compare(self, wire: Wire, number: int) -> ExchangeResult:
         """Compare the reply to `request` with the last number sent, modulo 16 bits."""
-        found = int(self._codec.unpack_from(wire.payload, self.request.payload_at))
-        return ExchangeResult.FOREIGN_COMMAND if (found - number) % 0x10000 else ExchangeResult.OK
+        held = int(self._codec.unpack_from(wire.payload, self.request.payload_at))
+        return ExchangeResult.FOREIGN_COMMAND if (held - number) % 0x10000 else ExchangeResult.OK

@@ -189,7 +189,7 @@ class Link(Protocol):
         -------
         ExchangeResult
             OK, also where the last command was refused or sent on another connection. FOREIGN_COMMAND: another number.
-            SETPOINT_CHANGED: another voltage with the same number. Otherwise the failure of the exchange.
+            SETPOINT_CHANGED: the number agrees, the voltage differs. Otherwise the failure of the exchange.
         """
         ...
 

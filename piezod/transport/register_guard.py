@@ -129,7 +129,7 @@ class RegisterGuard:
         -------
         ExchangeResult
             OK: as expected. WRONG_DEVICE: nothing more is written on this connection before `verify` succeeds.
-            SETTING_CHANGED. Otherwise the failure. Unless it is OK, the next call reads the same register.
+            SETTING_CHANGED. Otherwise the failure. Unless it is OK, the next call repeats the read.
         """
         if not self.is_verified():
             return ExchangeResult.UNVERIFIED

@@ -38,7 +38,7 @@ class HandClock:
     def time_left_ns(self):
         return self.deadline_ns + self.period_ns - self.time_ns
 
-    def wait_until_left(self, left_ns):
+    def sleep_until_before(self, left_ns):
         self.time_ns = max(self.time_ns, self.deadline_ns + self.period_ns - left_ns)
 
     def wait(self):

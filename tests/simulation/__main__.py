@@ -1,12 +1,15 @@
 """`python -m tests.simulation`: run histories, and print what was violated."""
 
 import argparse
+import resource
 import subprocess
 import sys
 import time
 
 from tests.simulation.holes import HOLES, put_back
 from tests.simulation.plan import draw
+
+FOUND = "found: "  # begin of the line with the rest of a row
 
 
 def main():
@@ -26,6 +29,7 @@ def main():
     if wanted.hole:
         put_back(wanted.hole)
     from tests.simulation.runs import run, warm_up
+    from tests.simulation.shrinking import shrink
 
     seeds = range(wanted.first, wanted.first + wanted.seeds) if wanted.seed is None else [wanted.seed]
     warm_up()
@@ -39,12 +43,10 @@ def main():
         if result.violations:
             failed += 1
             report(plan, result)
+            shrunk = shrink(plan, result) if wanted.shrink else None
             if wanted.hole:
+                report_hole(plan, result, shrunk)
                 break
-            if wanted.shrink:
-                from tests.simulation.shrinking import shrink
-
-                shrink(plan, result)
     real_s = time.monotonic() - begun_s
     print(
         f"{len(seeds)} histories, {virtual_s:.0f} virtual seconds in {real_s:.1f} s, "
@@ -54,17 +56,38 @@ def main():
 
 
 def each_hole(wanted):
-    """Put every hole back, one by one, and print where it is found; the number of those that are not."""
+    """Put every hole back, one by one, and print where it is found; the number of those that are not.
+
+    With `--shrink`, also with how few events it is found again.
+    """
     missed = 0
+    print("| hole | seed | violation | at [s] | events | shrunk | length [s] | shrunk | processor [s] |")
+    print("|---|---|---|---|---|---|---|---|---|")
     for name, hole in HOLES.items():
         options = ["--seeds", str(wanted.seeds), "--first", str(wanted.first), "--seconds", str(wanted.seconds)]
+        options += ["--shrink"] if wanted.shrink else []
         command = [sys.executable, "-m", "tests.simulation", "--hole", name, *options]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
-        lines = done.stdout.splitlines()
-        missed += done.returncode != 1
-        print(f"{name} ({hole.source}): {lines[0] if done.returncode == 1 else 'not found; ' + (lines or ['?'])[-1]}")
+        found = [line.removeprefix(FOUND) for line in done.stdout.splitlines() if line.startswith(FOUND)]
+        missed += not found
+        print(f"| {name} ({hole.source}) | {found[0] if found else f'not in {wanted.seeds} | | | | | | |'}")
         sys.stdout.flush()
+    print(f"{len(HOLES) - missed} of {len(HOLES)} found")
     return int(missed > 0)
+
+
+def report_hole(plan, result, shrunk):
+    """Print the rest of the row of a hole."""
+    kind, time_s, _ = result.violations[0]
+    events, seconds = ("", "") if shrunk is None else (len(shrunk.events), f"{shrunk.seconds:.1f}")
+    cells = (plan.seed, kind, f"{time_s:.2f}", len(plan.events), events, f"{plan.seconds:.1f}", seconds)
+    print(FOUND + " | ".join(map(str, (*cells, f"{time.process_time() + children_s():.0f}"))) + " |")
+
+
+def children_s():
+    """Processor time of the histories that have ended [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def report(plan, result):

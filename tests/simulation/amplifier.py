@@ -27,6 +27,8 @@ AT = {name: number for number, name in enumerate(FIELDS)}
 (LOW, HIGH, RISE, FALL, MOST_RISE, MOST_FALL, LAST, RISING, FALLING, EXCUSED, MAY_DRIVE, TRIP, OVER, MOST_OVER,
  JUDGES_FORCE, HIGHEST, REST_STEP, ACTIVE_STEP, HIGHEST_N, RANGE_STEP, RANGE_V, SLEW_STEP, SLEW_V, DRIVE_STEP, DRIVE_V,
  TRIP_STEP, TRIP_FORCE) = range(len(FIELDS))  # fmt: skip
+SHORT = 0.5  # of a tick: two commands so near to each other follow a late tick
+MOST_SHORT = 3  # such intervals in a row: ticks that were missed are made up for
 LEEWAY = 1.12  # of the slew of one step: the converter of the device steps at its own rate
 
 
@@ -90,8 +92,11 @@ class SimDevice(Device):
     def __init__(self, bench, now_ns):
         self.reading_fault = None
         self.ignores_writes = False
+        self.keeps_watchdog = True
         self.commands = 0
         self.command_ns = 0
+        self.dt_ns, self.short, self.bursts = 0, 0, 0
+        self.is_stranger, self.to_stranger = False, 0  # another device on a new connection, and commands to it
         self.requested_V = 0.0
         super().__init__(bench, Firmware(), "real", now_ns)
 
@@ -102,13 +107,19 @@ class SimDevice(Device):
     def write(self, address, values):
         if address == 100:
             self.commands += 1
-            self.command_ns = self._now_ns()
+            now_ns = self._now_ns()
+            self.short = self.short + 1 if now_ns - self.command_ns < SHORT * self.dt_ns else 0
+            self.bursts += self.short == MOST_SHORT
+            self.command_ns = now_ns
+            self.to_stranger += self.is_stranger
             self.requested_V = struct.unpack(">f", struct.pack(">2H", *values[:2]))[0]
             if self.ignores_writes:
                 self.catch_up()
                 self._words[102] = values[2] if len(values) > 2 else self._words[102]
                 self.bench.feed_watchdog()
                 return
+        if address == 110 and not self.keeps_watchdog:
+            return
         super().write(address, values)
 
     def restart(self):
@@ -136,6 +147,7 @@ class Amplifier:
         self.bench = JudgedBench("stack", seed=seed)
         self.bench.judge_by(0.0, 140.0, slew_V_per_s, dt_s)
         self.device = SimDevice(self.bench, lambda: machine.now_ns)
+        self.device.dt_ns = round(1e9 * dt_s)
         self._start_ns = machine.now_ns
         self.unit = ModbusUnit(self.device)
         self.settings = Tcp(port=15020)
@@ -154,8 +166,14 @@ class Amplifier:
 
     def violations(self):
         """Texts of what the judge found, each kind once."""
-        judge = self.bench.judge
+        judge, device = self.bench.judge, self.device
         found = []
+        if device.bursts:
+            found.append(
+                ("burst", self._machine.time_s, f"{MOST_SHORT + 1} commands within {SHORT * MOST_SHORT:g} ticks")
+            )
+        if device.to_stranger:
+            found.append(("stranger", self._machine.time_s, f"{device.to_stranger} commands to another device"))
         for kind, at, value, text in (
             ("range", RANGE_STEP, RANGE_V, "output {:.3f} V out of its range"),
             ("slew", SLEW_STEP, SLEW_V, "output faster than its slew, by {:.3f} V in a step"),

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import yaml
 
+from firmware_sim.firmware.device import IDENTITY
 from piezod.control import RingReader, State
 from piezod.daemon.client import Client
 from piezod.daemon.run import run_foreground
@@ -42,6 +43,7 @@ TRIPPED_WITHIN_S = 0.5
 LOOK_S = 0.02
 WATCHDOG_KNOWN_S = 2.0  # the guard reads it each second; then the ramp down
 SENT_EVERY_S = 0.01
+FOREIGN_WITHIN_S = 0.1  # the guard compares the set point each 50 ms
 ENDS_WITHIN_S = 15.0  # from SIGTERM to the end of every process of the service
 CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "stream", "start", "signal_service", "kill_service")
 CALM_AFTER_S = 1.5
@@ -83,12 +85,16 @@ class History:
         self.violations = []
         self.rest_due = None
         self.arms = 0  # commands on their way
+        self.arms_at_start = False  # as with `piezod run --arm`
+        self.last_arm_ns = 0
+        self.happened = 0  # number of events so far
         self.trip_in_file_N, self.trip_N = 360.0, 360.0
         self.excused = set()
         self.sending_N, self.sequence = None, 0
         self.answers = []
-        self.writes = 0
+        self.writes = self.reloads = 0
         self.disturbed_until_ns = 0
+        self.calm_before = True
         self.steady = None  # time [ns], output [V] and reason of a ramp down whose rate is judged
         self.watchdog_known_ns = 0
 
@@ -200,9 +206,10 @@ class History:
             self.machine.sleep(self.spawning.start_s())
             self.trip_N = self.trip_in_file_N
             try:
-                code = run_foreground(self.path, arm=False).exit_code
+                code = run_foreground(self.path, arm=self.arms_at_start).exit_code
             except PiezodError as error:
                 self.machine.note("service", "ends with", error)
+                self.answers.append((self.machine.time_s, "run", str(error)))
                 code = error.exit_code
             sys.exit(code)
 
@@ -269,11 +276,15 @@ class History:
     # events -------------------------------------------------------------------------------------------------------
 
     def happen(self, event):
+        self.happened += 1
         self.machine.note("event", event.name, *event.arguments)
+        self.calm_before = self.machine.now_ns > self.disturbed_until_ns
         if event.name not in ("status", "reset", "heal", "start"):
             self.steady = None
         if event.name == "heal":
             self.disturbed_until_ns = self.machine.now_ns + round(CALM_AFTER_S * SECOND)
+        elif event.name == "lost_reply":
+            self.disturbed_until_ns = max(self.disturbed_until_ns, self.machine.now_ns + SECOND)
         elif event.name not in CALM:
             self.disturbed_until_ns = math.inf
         getattr(self, event.name)(*event.arguments)
@@ -319,6 +330,7 @@ class History:
 
     def arm(self):
         self.arms += 1
+        self.last_arm_ns = self.machine.now_ns
         self.rest_due = None
         self.amplifier.catch_up()
         self.amplifier.judge[judged.MAY_DRIVE] = 1.0
@@ -350,16 +362,25 @@ class History:
         held = [self.machine.stalled_until_ns - now_ns]
         return 1e-9 * max(0, *held) + (2.0 if self.alive and self.service.stopped_until_ns else 0.0)
 
+    def _stays_at_rest(self, sent_ns):
+        """After a stop that was answered, an arm that was sent before it drives nothing any more."""
+        if self.last_arm_ns < sent_ns and not self.excused:
+            self.amplifier.catch_up()
+            self.amplifier.judge[judged.MAY_DRIVE] = 0.0
+
     def urge(self, command):
+        machine = self.machine
         if self.alive:
             self.expect_rest(f"{command} at the stop socket", self._held_s())
 
         def talk():
+            sent_ns = machine.now_ns
             try:
                 text = urge(self.folder / "ring.sock.stop", command, 2.0)
+                machine.after(round(REST_WITHIN_S * SECOND), lambda: self._stays_at_rest(sent_ns))
             except PiezodError as error:
                 text = f"{type(error).__name__}: {error}"
-            self.machine.note("answer", "urge", command, text)
+            machine.note("answer", "urge", command, text)
 
         Thread(self.operator, talk, "urge")
 
@@ -370,6 +391,7 @@ class History:
         self.ask("status")
 
     def reload(self, trip_N, by_signal):
+        former_N = self.trip_N if self.state() is State.RUNNING and not self.reloads else -math.inf
         self.trip_N = max(self.trip_N, trip_N)
         self.write_trip(trip_N)
         if by_signal:
@@ -377,12 +399,19 @@ class History:
                 self.trip_N = math.inf  # its answer is in the log only
                 self.service.signal(signal.SIGHUP)
         else:
-            self.ask("reload", self._reloaded(self.writes))
+            self.reloads += 1
+            self.ask("reload", self._reloaded(self.writes, former_N))
 
-    def _reloaded(self, writes):
+    def _reloaded(self, writes, former_N):
         """What an accepted reload changes: the trip, or an unknown one where the file has changed meanwhile."""
 
-        def accept(good, _):
+        def accept(good, text):
+            self.reloads -= 1
+            driven = self.state() is State.RUNNING and self.writes == writes
+            if good and text == "limits taken" and driven and -math.inf < former_N < self.trip_in_file_N:
+                self.violate(
+                    "reload", f"the trip was raised from {former_N:g} to {self.trip_in_file_N:g} N while armed"
+                )
             if good and self.trip_N < math.inf:
                 self.trip_N = self.trip_in_file_N if self.writes == writes else math.inf
 
@@ -499,9 +528,42 @@ class History:
             self.amplifier.device.write(110, [milliseconds])
             self.watchdog_known_ns = self.machine.now_ns + round(WATCHDOG_KNOWN_S * SECOND)
 
+    def _expect_state(self, states, within_s, reason):
+        """If the bench runs and nothing else is wrong, it is in one of `states` later, unless something happens."""
+        if not self._is_calm() or self.state() is not State.RUNNING:
+            return
+        number = self.happened
+
+        def look():
+            found = self.state()
+            if self.happened == number and found is not None and found not in states:
+                self.violate("state", f"{found.name} {within_s:g} s after {reason}")
+
+        self.machine.after(round(within_s * SECOND), look)
+
+    def _is_calm(self):
+        return self.calm_before and not self.excused and self.machine.now_ns > self.machine.stalled_until_ns
+
+    def lost_reply(self):
+        """One reply is lost: no reason for a fault."""
+        if self.sending_N is not None or self.plan.reference == "sine":
+            self._expect_state((State.RUNNING,), 0.5, "one lost reply")
+        self.network.rules.append(["drop", "reply", 1, 0.0])
+
+    def exchange_device(self):
+        """Another device answers at the same address, on a new connection."""
+        if self.control is None:
+            return  # only the watchdog of the device is left
+        self._expect_state((State.RAMP_DOWN, State.FAULT), 0.5, "another device answers")
+        self.excused |= {"writes", "foreign"}
+        self.network.reset()
+        self.amplifier.device._words[0], self.amplifier.device.is_stranger = 7, True
+
     def other_master(self, above_V, times):
         if self.state() not in DRIVEN:
             return
+        if times * 0.002 > FOREIGN_WITHIN_S:
+            self._expect_state((State.RAMP_DOWN, State.FAULT), FOREIGN_WITHIN_S, "the first foreign voltage")
         self.excused.add("foreign")
         for number in range(times):
             self.machine.after(number * 2_000_000, lambda: self.amplifier.device.write_as_other(above_V))
@@ -529,6 +591,7 @@ class History:
         network.rules.clear()
         network.cut = network.refuses = False
         amplifier.refusal = (0, 0)
+        amplifier.device._words[0], amplifier.device.is_stranger = IDENTITY, False
         amplifier.device.reading_fault = None
         amplifier.catch_up()
         if amplifier.device.ignores_writes:

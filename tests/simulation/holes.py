@@ -80,6 +80,54 @@ HOLES = {
         "piezod.daemon.service",
         "            if not self._lock.restore():", "            if False:", "G4: two masters of our own kind",
     ),
+    "no clamp of the voltage": Hole(
+        "piezod.control.limits", "return min(max(planned_V, self._low_V), self._high_V)", "return planned_V",
+        "V10: a plan outside the range",
+    ),
+    "no limit of the slew": Hole(
+        "piezod.control.limits", "        if voltage_V > high:\n", "        if False:\n",
+        "V10: a jump of the reference",
+    ),
+    "ramp down at the slew": Hole(
+        "piezod.control.loop", "            return self._ramp_V\n", "            return inf\n", "F7: rate of a ramp",
+    ),
+    "set point is not compared": Hole(
+        "piezod.control.device_guard",
+        "if now_ns < self._compare_ns or not self._link.holds_command:", "if True:", "P16: a second master",
+    ),
+    "identity is not compared again": Hole(
+        "piezod.transport.modbus", "if result is not _OK or self._guard.is_verified():", "if True:",
+        "F6: another device after a reconnection",
+    ),
+    "end of a stream is not noticed": Hole(
+        "piezod.control.references.live",
+        "live = received is not None and now_ns - received < self._stale_ns", "live = received is not None",
+        "F2: age of a reference",
+    ),
+    "arming waits for ever": Hole(
+        "piezod.control.supervisor",
+        "if self.state is State.ARMING and now_ns - self._armed_ns > self._planned_ns + self._arming_timeout_ns:",
+        "if False:", "F2: ARMING has a time limit",
+    ),
+    "no trip above the force limit": Hole(
+        "piezod.control.interlocks",
+        "        return cause if self.count.add() else Cause.NONE\n\n\nclass StuckInterlock",
+        "        return Cause.NONE\n\n\nclass StuckInterlock", "V6: force above its limit",
+    ),
+    "a reload loosens a limit while armed": Hole(
+        "piezod.daemon.reload", "if looser := loosened_limit(old.limits, new.limits):", "if looser := '':",
+        "C10: limits raised by reload while armed",
+    ),
+    "a reload is taken while the control process starts": Hole(
+        "piezod.daemon.reload", "if not connected or ended:", "if False:", "F1: the old configuration drove",
+    ),
+    "removed stop socket stays away": Hole(
+        "piezod.daemon.stop_path", "if self._listener is None or self._listener.is_present:", "if True:",
+        "G4: unreachable after its files were removed",
+    ),
+    "an old command acts": Hole(
+        "piezod.session.command_queue", "if age_s > VALID_FOR_S:", "if False:", "F3: a token expires",
+    ),
 }  # fmt: skip
 
 

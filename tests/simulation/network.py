@@ -6,6 +6,7 @@ import errno
 from pymodbus.pdu import ExceptionResponse
 
 from firmware_sim.wire.tcp import ModbusTcpProtocol
+from tests.faults.forgeries import forged
 
 LEAST_DELAY_NS = 25_000
 SPREAD_NS = 40_000
@@ -60,6 +61,8 @@ class TcpConnection:
         self.protocol = ModbusTcpProtocol(network.unit, network.amplifier.settings, network.clients)
         stream.route = self.sent
         network.connections.append(self)
+        network.connected += 1
+        self.asked_ns = self.machine.now_ns
         self.protocol.connection_made(Far(self))
 
     def sent(self, data):
@@ -85,6 +88,7 @@ class TcpConnection:
             return
         self.machine.digest.update(b"%d %s " % (self.machine.now_ns, way.encode()) + data)
         if way == "request":
+            self.asked_ns = self.machine.now_ns
             self.protocol.data_received(data)
         else:
             self.stream.arrive(data)
@@ -107,7 +111,8 @@ class Network:
         self.rules = []  # [fault, way, count, size]
         self.cut = self.refuses = False
         self.random = machine.random
-        self.frames = 0
+        self.frames = self.connected = self.forgeries = self.idle_ns = 0
+        self.before = b""  # the good reply before the last one
 
     def connect(self, socket, stream):
         del socket
@@ -149,19 +154,30 @@ class Network:
         return [(delay_ns, data)]
 
     def struck(self, fault, data, delay_ns, size_ms, connection):
-        """Delays and parts of bytes that a fault has met."""
+        """Delays and parts of bytes that a fault has met.
+
+        `size_ms` is a delay [ms], for `throttle` the time for each byte [ns], for `forge` the kind of the false reply.
+        """
         rng = self.random
         at = 1 + int(rng.random() * (len(data) - 1))
         garbled = data[: at - 1] + bytes([data[at - 1] ^ 1 << int(8 * rng.random())]) + data[at:]
+        later_ns = 0 if fault in ("throttle", "forge") else int(size_ms * MS)
         if fault == "reset":
             self.machine.after(0, connection.reset)
         return {
             "drop": [],
             "reset": [],
-            "delay": [(delay_ns + int(size_ms * MS), data)],
-            "split": [(delay_ns, data[:at]), (delay_ns + int(size_ms * MS), data[at:])],
+            "delay": [(delay_ns + later_ns, data)],
+            "split": [(delay_ns, data[:at]), (delay_ns + later_ns, data[at:])],
             "duplicate": [(delay_ns, data), (delay_ns, data)],
             "corrupt": [(delay_ns, garbled)],
             "garbage": [(delay_ns, rng.randbytes(len(data)))],
             "noise": [(delay_ns, rng.randbytes(7) + data)],
+            "throttle": [(delay_ns + int(size_ms * len(data)) if fault == "throttle" else 0, data)],
+            "forge": [(delay_ns, self._forged(size_ms, data) if fault == "forge" else data)],
         }[fault]
+
+    def _forged(self, kind, data):
+        before, self.before, number = self.before, data, self.forgeries
+        self.forgeries += 1
+        return forged(kind, data, before or data, number, framing="tcp")

@@ -36,6 +36,7 @@ class Plan:
     latency_ns: tuple = (20_000, 30_000)
     events: tuple = field(default=())
     changes: tuple = field(default=())  # of the bench file, each (section, key, value)
+    at_start: dict = field(default_factory=dict)  # of a start with `--arm`: an edit of the bench file, steps before it
 
     def without(self, numbers):
         """The same without the events of some numbers."""
@@ -71,7 +72,9 @@ KINDS = {
     "ignored_writes": (1, lambda rng: ()),
     "restart_device": (1, lambda rng: ()),
     "watchdog": (1, lambda rng: (rng.choice((0, 5000)),)),
-    "other_master": (1, lambda rng: (rng.choice((2.0, 4.5)), rng.choice((1, 20)))),
+    "other_master": (1, lambda rng: (rng.choice((0.5, 2.0, 4.5)), rng.choice((1, 20, 100)))),
+    "lost_reply": (2, lambda rng: ()),
+    "exchange_device": (1, lambda rng: ()),
     "trip_amplifier": (1, lambda rng: ()),
     "wire": (4, lambda rng: (
         rng.choice(("delay", "drop", "split", "corrupt", "reset", "noise", "duplicate")),
@@ -90,6 +93,23 @@ KINDS = {
 ORDERLY = ("disarm", "stop", "urge", "reload", "signal_service", "kill_service", "stream", "stream_ends")
 
 
+def _prologue(rng, time_s, events):
+    """Events while nothing else is wrong, in two seeds of three; the time after them [s]."""
+    kind = rng.choice(("none", "none", "trip", "replies", "replies", "stopped"))
+    if kind == "trip":  # a limit below the force that is driven
+        time_s += rng.uniform(0.7, 1.5)
+        events.append(Event(time_s, "reload", (100.0, False)))
+        return time_s + 2.0
+    if kind == "stopped":  # a stop that overtakes the arm
+        events += [Event(time_s + rng.uniform(0.0, 0.004), "urge", ("stop",)), Event(time_s + 2.5, "arm")]
+        return time_s + 2.6
+    if kind == "replies":  # single replies are lost
+        for _ in range(4):
+            time_s = max(time_s, 2.5) + rng.uniform(1.05, 1.3)
+            events.append(Event(time_s, "lost_reply"))
+    return time_s
+
+
 def draw(seed, seconds):
     """The plan of a seed."""
     rng = random.Random(seed)
@@ -103,6 +123,7 @@ def draw(seed, seconds):
     stream = rng.random() < 0.4
     if stream:
         events.insert(0, Event(1.8, "stream", (rng.choice((60.0, 120.0, 200.0)),)))
+    time_s = _prologue(rng, time_s, events)
     while possible:
         time_s += rng.expovariate(rate_per_s)
         if time_s > seconds - SETTLED_S:

@@ -82,7 +82,9 @@ class Stream(Object):
     def writable(self):
         if self.connecting:
             return False
-        return self.was_reset or self.error or self.peer is None or len(self.peer.inbox) < PIPE_BYTES
+        if self.peer is None or not self.peer.open:
+            return True  # a write then fails at once
+        return self.was_reset or self.error or len(self.peer.inbox) < PIPE_BYTES
 
     def arrive(self, data):
         if self.open:

@@ -19,7 +19,7 @@ class FakeClock:
     def time_left_ns(self):
         return self.period_ns
 
-    def wait_until_left(self, left_ns):
+    def sleep_until_before(self, left_ns):
         pass
 
     def wait(self):

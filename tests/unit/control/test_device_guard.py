@@ -31,11 +31,12 @@ class SupervisedLink:
 
 class Clock:
     left_ns = 5 * MS
+    lateness_ns = 0
     waited_until_left_ns = -1
     after_wait_ns = None  # time that is left then, where the wake-up is late
     has_waited = False
 
-    def wait_until_left(self, left_ns):
+    def sleep_until_before(self, left_ns):
         self.waited_until_left_ns, self.has_waited = left_ns, True
 
     def time_left_ns(self):
@@ -142,6 +143,14 @@ def test_the_command_is_compared_once_in_fifty_milliseconds_halfway_to_the_next_
     assert (
         subject.clock.waited_until_left_ns == 5 * MS // 8 + MARGIN_NS
     )  # 1.25 times the exchange of half a millisecond
+
+
+def test_where_ticks_begin_late_the_comparison_waits_until_it_is_overdue(subject):
+    subject.clock.lateness_ns = 2 * MS
+    subject.ticks(1e-9 * OVERDUE_NS - 0.01)
+    assert subject.link.comparisons == 0
+    subject.ticks(0.05)
+    assert subject.link.comparisons == 1
 
 
 def test_a_late_wake_up_puts_the_comparison_off_until_the_next_tick(subject):
