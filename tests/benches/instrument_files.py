@@ -436,9 +436,56 @@ def instrument_files():
                     [f"{round(1e3 * x):,}".replace(",", ".") for x in F_N],
                 ),
             ),
+            refused="may be 54000 or 54,000; give --decimal",
+            factors=(1.0, 1e3),
+            atol=1e-3,
+        ),
+        WorldFile(
+            "grouped thousands beside decimal commas, stated",
+            "Excel, Germany",
+            ".csv",
+            "Zeit [s];U [V];F [mN]\n"
+            + rows(
+                ";",
+                (
+                    [f"{x:.3f}".replace(".", ",") for x in TIME_S],
+                    [f"{x:.3f}".replace(".", ",") for x in U_V],
+                    [f"{round(1e3 * x):,}".replace(",", ".") for x in F_N],
+                ),
+            ),
+            options=TextOptions(decimal=","),
             f="force_mN",
             factors=(1.0, 1e3),
             atol=1e-3,
+        ),
+        WorldFile(
+            "time with commas, readings with points",
+            "a logger with two number formats",
+            ".csv",
+            BASE
+            + rows(
+                ";",
+                ([f"{t:.3f}".replace(".", ",") for t in TIME_S], [f"{x:.3f}" for x in U_V], [f"{x:.3f}" for x in F_N]),
+            ),
+            refused="may be 90000 or 90,000; give --decimal",
+        ),
+        WorldFile(
+            "one cell with a point among commas",
+            "a cell that was typed by hand",
+            ".csv",
+            BASE
+            + rows(";", (TIME_S, U_V, spoilt(F_N, {30: "1,234"})), decimal=".")
+            .replace(".", ";;")
+            .replace(",", ".")
+            .replace(";;", ","),
+            refused="may be 1234 or 1,234",
+        ),
+        WorldFile(
+            "largest float as overload",
+            "a logger that writes FLT_MAX",
+            ".csv",
+            "Time (s),Voltage (V),Force (N)\n" + rows(columns=(TIME_S, U_V, spoilt(F_N, {30: "3.4028235E+38"}))),
+            says="3.4e+38",
         ),
         WorldFile(
             "pounds-force",

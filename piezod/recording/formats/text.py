@@ -37,8 +37,8 @@ from piezod.recording.recording import Recording
 
 BLOCK = 2**22  # characters that are parsed together: the numbers fit into the processor's cache, and calls cost little
 LARGE = 2**24  # file size above which parsing by pyarrow saves more time than its import costs [bytes]
-OVERLOADS = (9.9e37, 9.91e37)
-"""Infinity, of either sign, and not-a-number of SCPI (1999.0, volume 1, 7.2.1.4 and 7.2.1.5)."""
+OVERLOAD = 9.8e37
+"""Magnitude from which a finite number is an overload: SCPI writes 9.9E37 and 9.91E37, others 1E38 and 3.4E38."""
 
 _EMPTY_CELL = re.compile(rb"(?m)(?<=,)[ \t]*(?=,|$)|^[ \t]*(?=,)")
 _NAN = re.compile(rb"NaN(?=[,;\t|\n])")
@@ -159,12 +159,11 @@ class _Rows:
         """Read the numbers that instruments write for an overload as missing, in place."""
         if self._layout.own or not table.size:
             return
-        if np.nanmax(np.abs(table), initial=0.0) >= min(OVERLOADS):
-            for overload in OVERLOADS:
-                found = np.isclose(np.abs(table), overload, rtol=1e-6, atol=0.0)
-                for value in table[found]:
-                    self._repairs.missing(f"{value:.3g}")
-                table[found] = np.nan
+        if np.nanmax(np.abs(table), initial=0.0) >= OVERLOAD:
+            overloads = np.isfinite(table) & (np.abs(table) >= OVERLOAD)
+            for value in table[overloads]:
+                self._repairs.missing(f"{value:.3g}")
+            table[overloads] = np.nan
 
     def _rows(self, block: bytes, begun: int) -> bytes:
         """Rows of plain numbers, with few lines cleaned; empty where each line must be."""

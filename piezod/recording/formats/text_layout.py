@@ -6,6 +6,7 @@ refused with the option that does.
 """
 
 import functools
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -250,6 +251,7 @@ def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -
     left_out = [columns[k].written for k in sorted(words | unused) if k not in (time, date_place)]
     if left_out:
         notes.append(f"left out: {', '.join(map(repr, left_out))[:MOST_LEFT_OUT]}, no column of numbers")
+    _check_groups(path, rows, {k: columns[k].written for k in places}, decimal, options)
     columns = tuple(with_unit(columns[k], notes) for k in places)
     check_names(path, columns)
     if not any(k != time for k in places):
@@ -355,6 +357,34 @@ def _row_width(line: str, separator: str, decimal: str, words: frozenset[int]) -
     if not any(cell[-1:].isdigit() or cell[-1:] in (*".,MmZ",) or is_clock(cell) for cell in numbers if cell):
         return 0
     return len(cells) if all(is_number(cell, decimal) or is_clock(cell) for cell in numbers) else 0
+
+
+def _check_groups(
+    path: Path, rows: Sequence[Sequence[str]], names: dict[int, str], decimal: str, options: TextOptions
+) -> None:
+    """Check each column with `_check_grouped`, unless the user states the decimal mark."""
+    for k, name in names.items() if not options.decimal else ():
+        _check_grouped(path, name, [cells[k] for cells in rows if k < len(cells)], decimal)
+
+
+def _check_grouped(path: Path, name: str, cells: Sequence[str], decimal: str) -> None:
+    """Refuse a column in which `1.234` may be 1.234 or 1234: no cell shows whether marks group thousands.
+
+    A whole number below 1000, several groups, or decimals behind a group show it.
+    """
+    mark = "." if decimal == "," else ","
+    doubtful = re.compile(rf"[+-]?[1-9]\d{{0,2}}\{mark}\d{{3}}", re.ASCII)
+    cells = [cell.strip() for cell in cells]
+    found = [cell for cell in cells if doubtful.fullmatch(cell)]
+    if not found or any(is_grouped(cell, decimal) and not doubtful.fullmatch(cell) for cell in cells):
+        return
+    if any(cell.lstrip("+-").isdecimal() and len(cell.lstrip("+-")) <= 3 for cell in cells):
+        return
+    whole = found[0].replace(mark, "")
+    raise RecordingError(
+        f"{path}: '{name}' is {found[0]!r}, may be {whole} or {whole[:-3]}{decimal}{whole[-3:]}; "
+        f"give --decimal {decimal} if it is {whole}, else export one decimal mark"
+    )
 
 
 def _check_decimal(
