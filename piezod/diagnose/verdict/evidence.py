@@ -21,6 +21,7 @@ from piezod.effects.effect import Effect
 from piezod.effects.noncongruent_minor_loops import DEGREES, shown_by
 from piezod.estimation.recordings.series import Series
 from piezod.model import Model
+from piezod.model.information import Information
 
 RIVAL_GAIN = 0.8  # least gain of a rival, as a share of the gain of the accepted effect
 NORMAL_95 = 1.96  # half of a 95 % interval [standard errors]
@@ -133,17 +134,26 @@ def gone_finding(result: Search, name: str, given: Model) -> Finding:
     return replace(finding, p=p_value(result, full, name), status="gone", was=was)
 
 
+def _relative_errors(known: Information | None) -> dict[str, float]:
+    """Half 95 % intervals of the given model's gain and loop width [1]; a change is relative to these."""
+    if known is None:
+        return {}
+    intervals = zip(NAMES, (known.gain, known.loop_width_percent), strict=True)
+    return {name: (high - low) / max(abs(high + low), 1e-300) for name, (low, high) in intervals}
+
+
 def base_of(result: Search) -> Base:
-    """Change of the stack itself: gain and width of the loops."""
+    """Change of the stack itself: gain and width of the loops, with the errors of both estimates."""
     if not result.stack_changed:
         return Base()
     chain, fitted = result.stack or (result.chain, result.hypothesis)
-    values, reduced = {}, fitted
+    values, reduced, before = {}, fitted, _relative_errors(result.known)
     for name in NAMES:
         place = next((k for k, term in enumerate(fitted.terms) if term.effect.name == name), None)
         if place is not None:
             reduced = refitted_without(chain, reduced, name)
-            value, error = fitted.point.values[place][name], NORMAL_95 * fitted.spread[place].get(name, 0.0)
+            value, spread = fitted.point.values[place][name], fitted.spread[place].get(name, 0.0)
+            error = float(np.hypot(INTERVAL_FACTOR * NORMAL_95 * spread, before.get(name, 0.0)))
             values[name] = Value(value, "1", value * float(np.exp(-error)), value * float(np.exp(error)))
     commands_V = [series.command_V for series in chain.series if series.role == "recording"]
     low_V, high_V = min(float(u.min()) for u in commands_V), max(float(u.max()) for u in commands_V)
