@@ -13,8 +13,28 @@ from tests.faults.bench_pool import open_bench_pool
 from tests.faults.catalogue import load_faults
 from tests.faults.live_bench import DeviceProcess
 from tests.faults.probe import STILL_MS, Probe
+from tests.simulation.rows import OF_PROCESSES, rows
 
 FAULTS = run.faults()
+KEPT_LIVE = {
+    "T3": "a real TCP reset and refused connections",
+    "T11": "real segments",
+    "P1": "a forged reply on a real socket",
+    "P14": "exit code and message of the command",
+    "P18": "a second Modbus client",
+    "S11": "a second Modbus client that writes the voltage",
+    "M4": "SIGSTOP of a real process",
+    "M10": "real buffers of a socket whose client never reads",
+    "V6": "one false reading through real processes",
+    "V14": "a restart of the device process",
+    "V17": "datagrams of a real socket",
+    "C9": "SIGHUP of a real process",
+    "R1": "SIGTERM of real processes",
+    "R4": "SIGKILL of real processes",
+    "R18": "the parent-death signal of the kernel",
+}
+"""Faults that also run in `tests/simulation`, and what only their injection into real processes shows. The other
+simulated ones are slow here, unless the list bounds a figure that only a real process has."""
 NOT_JUDGED = []
 
 
@@ -31,12 +51,23 @@ def probe():
     sleeper.close()
 
 
+def _is_shown_by_the_simulation(fault):
+    return fault.id in SIMULATED and fault.id not in KEPT_LIVE and not {*fault.expect.figures} & {*OF_PROCESSES}
+
+
+SIMULATED = rows()
+LIVE = [fault for fault in FAULTS if not _is_shown_by_the_simulation(fault)]
+
+
 def listed(fault):
     """A fault as a parameter.
 
     Faults of the disk repeat the tests and the study of the recorder, and a cold cache compiles for a minute: they are
-    slow. Benches without a process of their own do not depend on the real clock.
+    slow. Benches without a process of their own do not depend on the real clock. What the simulation shows as well is
+    slow too.
     """
+    if _is_shown_by_the_simulation(fault):
+        return pytest.param(fault, id=fault.id, marks=pytest.mark.slow)
     if fault.injector in {*disk_faults.INJECTORS, "armed_on_a_cold_cache"}:
         return pytest.param(fault, id=fault.id, marks=pytest.mark.slow)
     return pytest.param(fault, id=fault.id, marks=() if fault.injector in run.IN_PROCESS else pytest.mark.real_time)
@@ -55,12 +86,16 @@ def test_fault_has_its_expected_result(fault, pool, probe):
 @pytest.mark.real_time
 def test_nearly_every_fault_is_judged():
     """A service that fails without faults too would otherwise pass as a slow machine."""
-    assert len(NOT_JUDGED) <= 0.1 * len(FAULTS), f"not judged: {' '.join(NOT_JUDGED)}"
+    assert len(NOT_JUDGED) <= 0.1 * len(LIVE), f"not judged: {' '.join(NOT_JUDGED)}"
 
 
 @pytest.mark.parametrize("name", sorted(run.INJECTORS))
 def test_a_fault_that_asks_for_a_running_bench_is_judged_in_real_time(name):
     assert not (name in run.IN_PROCESS and "pool.bench(" in inspect.getsource(run.INJECTORS[name]))
+
+
+def test_every_fault_that_is_kept_live_runs_in_the_simulation():
+    assert {*KEPT_LIVE} <= {*SIMULATED}
 
 
 def test_at_least_a_hundred_faults_are_injected_without_other_tests():
