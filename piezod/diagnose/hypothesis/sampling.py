@@ -141,9 +141,15 @@ def best_intersample(
 def fit_from_each(chain: Chain, terms: Sequence[Term], starts: Sequence[Point]) -> Fitted:
     """Fit from the best of several starts, which is chosen by coarse fits."""
     few = coarse(chain)
-    tried = each(lambda start: fit(few, terms, start, most_steps=COARSE_STEPS, robust=False), starts)
+    best = best_coarsely(few, terms, starts)
     few.forget()
-    return fit(chain, terms, min(tried, key=lambda fitted: fitted.loss).point)
+    return fit(chain, terms, best.point)
+
+
+def best_coarsely(few: Chain, terms: Sequence[Term], starts: Sequence[Point]) -> Fitted:
+    """Best of the coarse fits from several starts."""
+    tried = each(lambda start: fit(few, terms, start, most_steps=COARSE_STEPS, robust=False), starts)
+    return min(tried, key=lambda fitted: fitted.loss)
 
 
 def coarse(chain: Chain) -> Chain:

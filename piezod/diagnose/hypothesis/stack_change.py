@@ -11,14 +11,15 @@ from typing import NamedTuple
 
 from piezod.arrays import Array
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import Fitted
-from piezod.diagnose.hypothesis.sampling import fit_from_each, with_usual_start
+from piezod.diagnose.hypothesis.fit import Fitted, fit
+from piezod.diagnose.hypothesis.sampling import best_coarsely, coarse, with_usual_start
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.effects.effect import Context, Effect, Location, Values, unchanged
 from piezod.effects.parameter import Parameter, Search
 
-STROKE, FORCE = 0.0, 1.0  # what the gain scales
+STROKE, FORCE = KINDS = 0.0, 1.0  # what the gain scales
 CLEARLY = 0.9  # loss of a gain of the force over that of a gain of the stroke, below which the force is scaled
+ROUGHLY = 0.5  # share of a required gain that a coarse fit must reach: its few steps leave some of it
 
 
 def _scaled(signal: Array, context: Context, values: Values) -> Array:  # noqa: ARG001  # a `Forward`
@@ -61,24 +62,35 @@ class StackFactors(NamedTuple):
     force: float = 1.0
 
 
-def with_stack_changed(chain: Chain, fitted: Fitted, past: Point) -> tuple[Chain, Fitted]:
+def with_stack_changed(chain: Chain, fitted: Fitted, past: Point, limit: float) -> tuple[Chain, Fitted] | None:
     """Hypothesis with a change of gain and of loop width since the identification.
 
     The fit begins at the hypothesis, and at the base of the identification alone, because a change bends the base. It
     bends the estimated start of a recording too, so the usual starts are compared again.
+
+    Parameters
+    ----------
+    chain, fitted, past
+        Recordings, hypothesis so far, and base of the identification.
+    limit
+        Loss from which a change is of no use; None is returned where few samples show that it stays far above.
     """
-    chain, of_stroke = with_usual_start(chain, _with_gain_of(STROKE, chain, fitted, past))
-    of_force = _with_gain_of(FORCE, chain, fitted, past)
-    return chain, of_force if of_force.loss < CLEARLY * of_stroke.loss else of_stroke
-
-
-def _with_gain_of(what: float, chain: Chain, fitted: Fitted, past: Point) -> Fitted:
-    gain = Term(GAIN, "since", choices=(("of", what),))
     values = (*fitted.point.values, {"gain": 1.0}, {"loops": 1.0})
     starts = [replace(fitted.point, values=values)]
     if past.alike(fitted.point):
         starts.append(replace(past, values=values))
-    return fit_from_each(chain, (*fitted.terms, gain, Term(LOOPS, "since")), starts)
+    gains = {what: Term(GAIN, "since", choices=(("of", what),)) for what in KINDS}
+    terms = {what: (*fitted.terms, gain, Term(LOOPS, "since")) for what, gain in gains.items()}
+    few = coarse(chain)
+    known = fit(few, fitted.terms, fitted.point, most_steps=2)
+    best = {what: best_coarsely(few, terms[what], starts) for what in KINDS}
+    few.forget()
+    gain = 1.0 - min(one.loss for one in best.values()) / known.loss
+    if gain < ROUGHLY * (1.0 - limit / fitted.loss):
+        return None
+    chain, of_stroke = with_usual_start(chain, fit(chain, terms[STROKE], best[STROKE].point))
+    of_force = fit(chain, terms[FORCE], best[FORCE].point)
+    return chain, of_force if of_force.loss < CLEARLY * of_stroke.loss else of_stroke
 
 
 def factors(terms: Sequence[Term], point: Point) -> StackFactors:

@@ -56,6 +56,12 @@ def least_gain(steady: float, worth: float = RULES.worth, steadily: float = RULE
     return worth * math.exp(-steady / steadily)
 
 
+def highest_accepted_loss(before: Fitted) -> float:
+    """Loss above which no further effect is accepted: that of one that gains equally in every block."""
+    blocks = int(np.count_nonzero(before.samples > 0))
+    return before.loss / (1.0 + least_gain(math.sqrt(blocks)))
+
+
 def penalised_loss(fitted: Fitted) -> float:
     """Loss with the price of the last effect's parameters."""
     priced = min(len(fitted.terms[-1].searched), RULES.most_priced)

@@ -18,6 +18,7 @@ from piezod.diagnose.selection.search_state import Rivalry, Search
 from piezod.effects import EFFECTS
 
 RIVALS = 6  # rivals of an effect that are tried in its place
+FAR_BEHIND = 4.0  # loss of a rival over that of the effect, when it was accepted, from which it cannot come near it
 THOROUGH = 2  # of them that are fitted on all compared samples
 
 
@@ -64,7 +65,12 @@ def with_each_rival(state: Search, name: str) -> list[Fitted]:
 
 def _rivals(state: Search, name: str) -> list[Fitted]:
     """Hypotheses that were tried when an effect was accepted, the best with each effect that is not in use."""
-    tried = [other for round_ in state.rounds if round_.accepted.effects[-1] == name for other in round_.others]
+    tried = [
+        other
+        for round_ in state.rounds
+        for other in round_.others
+        if round_.accepted.effects[-1] == name and other.loss < FAR_BEHIND * round_.accepted.loss
+    ]
     return first_of_each([other for other in tried if other.effects[-1] not in state.hypothesis.effects])[:RIVALS]
 
 

@@ -20,6 +20,7 @@ from piezod.diagnose.selection.acceptance import (
     accepted,
     comparison_loss,
     degenerate,
+    highest_accepted_loss,
     loss_by_choices,
     penalised_loss,
     worth,
@@ -73,10 +74,11 @@ def change_stack(candidates: Candidates) -> Search | None:
     state, best = candidates.state, candidates.best
     if state.stack_changed or state.hypothesis.loss <= RULES.at_noise:
         return None
-    chain, other = with_stack_changed(state.chain, state.hypothesis, state.past)
-    if not worth(state.hypothesis, other) or (best is not None and RULES.better * other.loss > best[1].loss):
+    limit = highest_accepted_loss(state.hypothesis) if best is None else best[1].loss / RULES.better
+    changed = with_stack_changed(state.chain, state.hypothesis, state.past, limit)
+    if changed is None or changed[1].loss > limit or not worth(state.hypothesis, changed[1]):
         return None
-    return state.on_chain(chain, other)
+    return state.on_chain(*changed)
 
 
 def add_pair(candidates: Candidates) -> Search | None:

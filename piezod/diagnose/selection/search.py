@@ -15,7 +15,7 @@ from piezod.diagnose.hypothesis.stack_change import NAMES, with_stack_changed
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.prepare import with_loose_base
 from piezod.diagnose.rules import RULES
-from piezod.diagnose.selection.acceptance import worth
+from piezod.diagnose.selection.acceptance import highest_accepted_loss, worth
 from piezod.diagnose.selection.candidates import Candidates
 from piezod.diagnose.selection.finish import fit_all_samples, remove_redundant, replace_by_rivals
 from piezod.diagnose.selection.given_effects import classify_given, with_fitted_values
@@ -122,8 +122,9 @@ def _with_best_change(state: Search) -> Search | None:
     chain, hypothesis = state.chain, state.hypothesis
     names = [term.effect.name for term in hypothesis.terms if term.held]
     tried = [(chain, with_fitted_values(chain, hypothesis, name, state.past)) for name in names]
-    stack = None if state.stack_changed else with_stack_changed(chain, hypothesis, state.past)
-    if stack is not None and (names or stack[1].loss < RULES.stack_alone * hypothesis.loss):
+    limit = highest_accepted_loss(hypothesis) if names else RULES.stack_alone * hypothesis.loss
+    stack = None if state.stack_changed else with_stack_changed(chain, hypothesis, state.past, limit)
+    if stack is not None and stack[1].loss < limit:
         tried.append(stack)
     best = min(tried, key=lambda pair: pair[1].loss, default=None)
     if best is None or not worth(hypothesis, best[1]):

@@ -15,6 +15,7 @@ from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import COARSE_STEPS, FINE_STEPS, coarse, with_equal_starts
 from piezod.diagnose.hypothesis.terms import Point, Scope, Term
 from piezod.diagnose.selection.acceptance import loss_by_choices
+from piezod.diagnose.selection.linear_gain import LinearGains
 from piezod.effects import EFFECTS
 from piezod.recording.hold import STRAIGHT
 
@@ -87,6 +88,8 @@ def _tried(screening: Screening, chosen: Sequence[Estimate], fitted: Fitted, pas
         old = Screening(chain, fitted.terms, replace(past, values=fitted.point.values))
         starts += [old.start(estimate) for estimate in _chosen(old)[:FROM_PAST]]
     steps = [_with_candidate(fitted, candidate) for candidate in suggested_steps(chain, fitted)]
+    linear = LinearGains(chain, fitted)
+    steps = [step for step in steps if linear.may_gain(*step)]
     tried = _fitted_coarsely(chain, [*starts, *steps])
     return _with_other_choices(chain, tried)
 
