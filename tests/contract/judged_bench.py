@@ -12,6 +12,7 @@ from firmware_sim.firmware.device import Device
 from firmware_sim.firmware.modbus import ModbusUnit
 from firmware_sim.physics.bench import Bench
 from piezod.transport import ExchangeResult
+from piezod.transport.bad_exchange import BadExchange
 from piezod.transport.frames import classify
 
 MS = 1_000_000
@@ -115,6 +116,7 @@ class FaultyWire:
         self.unit = ModbusUnit(device)
         self.framer = FramerSocket(self.unit.decoder)
         self.faults = []
+        self.bad_exchange = BadExchange()
         self.lie = self.status = None
         self.buffer = bytearray(512)
         self.payload = memoryview(self.buffer)
