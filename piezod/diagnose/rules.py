@@ -17,6 +17,9 @@ class Rules:
         ones in foreign cases.
     better
         Factor on a loss below which a hypothesis is preferred to another one: beyond the scatter of repeated fits.
+    far_behind
+        Factor on the loss of the best hypothesis from which another one is not refined: its choices, holds or starts
+        lower a loss by less.
     isolated
         A block that no hypothesis predicts counts with its loss in the fit. It is one whose leave-one-block-out loss is
         this many times the loss in the fit; 99.9 % of all blocks stay below.
@@ -46,6 +49,7 @@ class Rules:
     steadily: float = 5.0
     steady: float = 3.0
     better: float = 0.98
+    far_behind: float = 4.0
     isolated: float = 10.0
     largest_share: float = 3.0
     parameter_price: float = 0.01

@@ -88,7 +88,8 @@ class Candidates:
         limit = good[0][1].loss if good else state.hypothesis.loss
         rejected = [trial for trial in ordered if trial[1].loss < limit and not degenerate(*trial)][:REFITTED]
         refitted = [trial for trial in each(with_refitted_starts, rejected) if trial is not None and is_accepted(trial)]
-        return each(with_best_hold, sorted(good + refitted, key=lambda trial: trial[1].loss)[:FINALISTS])
+        best = sorted(good + refitted, key=lambda trial: trial[1].loss)[:FINALISTS]
+        return each(with_best_hold, [trial for trial in best if trial[1].loss < RULES.far_behind * best[0][1].loss])
 
 
 def first_of_each(tried: Sequence[Fitted]) -> list[Fitted]:

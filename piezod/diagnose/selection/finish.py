@@ -18,7 +18,6 @@ from piezod.diagnose.selection.search_state import Rivalry, Search
 from piezod.effects import EFFECTS
 
 RIVALS = 6  # rivals of an effect that are tried in its place
-FAR_BEHIND = 4.0  # loss of a rival over that of the effect, when it was accepted, from which it cannot come near it
 THOROUGH = 2  # of them that are fitted on all compared samples
 
 
@@ -69,7 +68,7 @@ def _rivals(state: Search, name: str) -> list[Fitted]:
         other
         for round_ in state.rounds
         for other in round_.others
-        if round_.accepted.effects[-1] == name and other.loss < FAR_BEHIND * round_.accepted.loss
+        if round_.accepted.effects[-1] == name and other.loss < RULES.far_behind * round_.accepted.loss
     ]
     return first_of_each([other for other in tried if other.effects[-1] not in state.hypothesis.effects])[:RIVALS]
 

@@ -14,6 +14,7 @@ from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import COARSE_STEPS, FINE_STEPS, coarse, with_equal_starts
 from piezod.diagnose.hypothesis.terms import Point, Scope, Term
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import loss_by_choices
 from piezod.diagnose.selection.linear_gain import LinearGains
 from piezod.effects import EFFECTS
@@ -105,10 +106,10 @@ def _fitted_coarsely(chain: Chain, starts: Sequence[tuple[tuple[Term, ...], Poin
 
 def _with_other_choices(chain: Chain, tried: Sequence[Fitted], last: int = 1) -> list[Fitted]:
     """Hypotheses, the best of them with the best scope and choices of their last effects."""
-    best = list(tried[:REFINED])
+    best = [fitted for fitted in tried[:REFINED] if fitted.loss < RULES.far_behind * tried[0].loss]
     for back in range(last, 0, -1):
         best = each(partial(_best_variant, chain, back=back), best)
-    return sorted([*best, *tried[REFINED:]], key=_loss)
+    return sorted([*best, *tried[len(best) :]], key=_loss)
 
 
 def with_own_step(chain: Chain, fitted: Fitted, others: Sequence[Fitted]) -> list[tuple[Chain, Fitted]]:
