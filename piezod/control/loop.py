@@ -204,7 +204,7 @@ class ControlLoop:
         self._clock.start()
         while not self._stop_requested and ticks != 0:
             self.run_tick()
-            self._wait()
+            self.wait()
             ticks = None if ticks is None else ticks - 1
 
     def serve(self, after_tick: Callable[[], None]) -> None:
@@ -221,7 +221,7 @@ class ControlLoop:
         while self.supervisor.driving or not self._stop_requested:
             self.run_tick()
             self._call_guarded(after_tick)
-            self._wait()
+            self.wait()
 
     def _call_guarded(self, after_tick: Callable[[], None]) -> None:
         """Call `after_tick`; while voltages are written, its exception requests a ramp down and the end."""
@@ -246,10 +246,10 @@ class ControlLoop:
     def _drive_to_rest(self) -> Cause:
         while self.supervisor.driving:
             self.run_tick()
-            self._wait()
+            self.wait()
         return self.supervisor.fault
 
-    def _wait(self) -> None:
+    def wait(self) -> None:
         """Wait for the next tick; compare the command of the device shortly before it, when that is due."""
         result = self._guard.compare_command()
         if result > ExchangeResult.UNVERIFIED:

@@ -120,7 +120,7 @@ class Envelope(RuleBasedStateMachine):
                 self.loop.run_tick()
             assert self.was_driving or not self.loop.supervisor.driving, "armed by itself"
             self.was_driving = self.loop.supervisor.driving
-            self.clock.wait()
+            self.loop.wait()
         self.device.catch_up()
 
     def sleep(self, duration_s):

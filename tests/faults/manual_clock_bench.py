@@ -93,7 +93,7 @@ class ManualClockBench:
             before = self.loop.supervisor.driving
             self.loop.run_tick()
             self.armings += not before and self.loop.supervisor.driving
-            self.clock.wait()
+            self.loop.wait()
         self.device.catch_up()
 
     def run_to(self, *states, most):

@@ -128,7 +128,7 @@ def follow(
         while loop.supervisor.driving:
             loop.run_tick()
             true_N.append(physics.true_force_N)
-            clock.wait()
+            loop.wait()
         ring.close()
         rows = reader.read()
     assert not loop.supervisor.fault, loop.supervisor.fault.name

@@ -214,7 +214,7 @@ def _drive(case: Case, bench: BenchConfig, model_file: Path, *, learns: bool) ->
         true_N, followed = [], 0
         while followed < REPEATS * ticks + 1:
             loop.run_tick()
-            clock.wait()
+            loop.wait()
             true_N.append(physics.true_force_N)
             followed += loop.supervisor.state is State.RUNNING
             assert loop.supervisor.state in (State.ARMING, State.RUNNING), loop.supervisor.fault.name

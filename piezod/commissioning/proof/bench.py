@@ -275,7 +275,7 @@ class ProofBench:
                     loop.request_stop()
                 if late and self.level_reached():
                     time.sleep(max(0.0, 1e-9 * self._clock.time_left_ns()) + LATE_TICKS * bench.dt_s)
-                self._clock.wait()
+                loop.wait()
             return Run(RingReader(self._ring_path).read(), loop.supervisor.fault)
         finally:
             ring_log.close()
@@ -317,7 +317,7 @@ class ProofBench:
             while loop.supervisor.driving and held < self._ticks(HOLD_S) // 2:
                 loop.run_tick()
                 held += self.level_reached()
-                self._clock.wait()
+                loop.wait()
             if not self.level_reached():
                 raise CheckFailedError(f"proof: {CAUSE_TEXT[loop.supervisor.cause]}")
             return self._watch_fall()
