@@ -215,9 +215,10 @@ def test_a_case_that_fails_is_one_line_counts_as_wrong_and_is_tried_again(study,
     path.write_text(whole[: whole.index("\n") + 1])
     done = piezod("blind", "run", broken, "-o", folder, "--only", "case_0002")
     assert done.returncode == 1
-    first, last = done.stdout.splitlines()
+    first, last, *step = done.stdout.splitlines()
     assert first.startswith("case_0002 failed: identification.csv")
     assert last.endswith("0 cases diagnosed, 1 failed, 0 were already done")
+    assert "blind score" in " ".join(step)
     done = piezod("blind", "score", study, folder, "--partial")
     assert "1 cases without findings, counted as wrong" in done.stdout
     assert "1 of 1 cases with a failure" in done.stdout
