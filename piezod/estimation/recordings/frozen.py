@@ -105,6 +105,9 @@ def _with_recovery(y: Array, model_N: Array, stretch: tuple[int, int], noise_N: 
     smooth = max(abs(model_N[end] - model_N[end - 1]), LEVEL_NOISES * noise_N)
     if abs(jump) <= ABRUPT * smooth or abs(jump - motion) >= FOLLOWS * abs(motion):
         return None
+    before = max(first - 1, 0)  # a reading of which the model is a sample late does not agree with it again at the end
+    if abs((y[end] - model_N[end]) - (y[before] - model_N[before])) >= FOLLOWS * abs(motion):
+        return None
     middle = (first + end) // 2
     if min(np.ptp(model_N[first:middle]), np.ptp(model_N[middle:end])) >= MOVING * noise_N:
         return stretch

@@ -71,3 +71,14 @@ def test_a_reading_that_misses_one_of_many_steps_is_frozen():
 def test_a_reading_that_is_late_at_every_step_is_not_frozen(late):
     model_N = model_of(LEAPS_V)
     assert at_steps(np.concatenate((np.full(late, model_N[0]), model_N[:-late]))) == []
+
+
+RISING_V = np.repeat(np.arange(10.0, 160.0, 10.0), 500)  # equal steps: each looks like the end of a pause
+
+
+@pytest.mark.parametrize("early", [1, 2, 5])
+def test_a_reading_ahead_of_its_recorded_command_is_not_frozen(early):
+    model_N = model_of(RISING_V)
+    true_N = np.append(model_N[early:], np.full(early, model_N[-1]))
+    reading_N = true_N + 0.3 * noise(true_N.size, 0.0, np.random.default_rng(8))
+    assert not still_stretches(series(time(RISING_V.size), RISING_V, reading_N, 0.3), model_N)
