@@ -41,6 +41,7 @@ REST_WITHIN_S = 140.0 / RAMP_DOWN_V_PER_S + COMM_LOSS_S + WATCHDOG_S + MACHINE_S
 TRIP_MARGIN_N = 25.0  # noise, and the force that is left on the stack at 0 V
 TRIPPED_WITHIN_S = 0.5
 LOOK_S = 0.02
+SHOWN_WITHIN_S = 0.1  # an accepted arm is answered some ticks before the log shows its state
 WATCHDOG_KNOWN_S = 2.0  # the guard reads it each second; then the ramp down
 SENT_EVERY_S = 0.01
 FOREIGN_WITHIN_S = 0.1  # the guard compares the set point each 50 ms
@@ -86,7 +87,7 @@ class History:
         self.rest_due = None
         self.arms = 0  # commands on their way
         self.arms_at_start = False  # as with `piezod run --arm`
-        self.last_arm_ns = 0
+        self.last_arm_ns = self.arm_answered_ns = 0
         self.happened = 0  # number of events so far
         self.trip_in_file_N, self.trip_N = 360.0, 360.0
         self.excused = set()
@@ -254,7 +255,14 @@ class History:
                 judge[judged.DRIVE_STEP] = -1
                 continue
             self.violate(kind, text, time_s)
-        if at_rest and not self.arms and (judge[judged.MAY_DRIVE] or self.excused) and self.state() not in DRIVEN:
+        shown = machine.now_ns - self.arm_answered_ns > SHOWN_WITHIN_S * SECOND
+        if (
+            at_rest
+            and not self.arms
+            and shown
+            and (judge[judged.MAY_DRIVE] or self.excused)
+            and self.state() not in DRIVEN
+        ):
             judge[judged.MAY_DRIVE] = 0.0
             self.excused -= {"foreign"}
         if self.rest_due is not None:
@@ -321,6 +329,7 @@ class History:
                 text, good = f"{type(error).__name__}: {error}", False
             if command == "arm":
                 self.arms -= 1
+                self.arm_answered_ns = machine.now_ns
             machine.note("answer", command, machine.now_ns - begun_ns, text)
             self.answers.append((machine.time_s, command, text))
             if sends is not None:
