@@ -162,13 +162,13 @@ def _service_loads() -> Recording:
     for harmonic in range(1, 25):
         phase = random.uniform(0.0, 2.0 * np.pi)
         force_N += harmonic**-0.7 * np.sin(2.0 * np.pi * 0.25 * harmonic * time_s + phase)
-    return Recording(time_s[:-1], {"reference_N": 155.0 + 100.0 * (force_N / np.abs(force_N).max())[:-1]})
+    return Recording(time_s, {"reference_N": 155.0 + 100.0 * force_N / np.abs(force_N).max()})
 
 
 def _row(name: str, model: Path, folder: Path) -> LearningRow:
     case = CASES[name]
     reference = {"triangle": TRIANGLE, "beyond": BEYOND}.get(case.reference) or FileReference(
-        kind="file", path=str(folder / "service.csv"), loop=True
+        kind="file", path=str(folder / "service.csv"), loop=True, closing_row="drop"
     )
     bench = study_bench(case.rate_Hz).model_copy(
         update={"model": str(model), "learning": LearningConfig(), "reference": reference}
