@@ -131,7 +131,7 @@ def _step_words(response: StepResponse | None, dt_s: float) -> str:
     if response is None or not response.is_shown:
         return (
             "This record does not determine a step response: its input holds too little that is fast. Record with "
-            f"--excitation {IDENTIFICATION}, at a higher --frequency if this is such a record."
+            f"--excitation {IDENTIFICATION}. If this record is already one, raise --frequency."
         )
     widest = f"the band is ± {100.0 * response.band.max():.0f} % at most"
     if response.rise_s is None:

@@ -95,7 +95,7 @@ def fit(
             damping = max(10.0 * damping, FIRST_DAMPING)
     if age:
         current = Normal.at(chain, terms, layout.point(vector, start), robust=robust)
-    return current.fitted(layout.point(vector, start))
+    return current.fitted()
 
 
 def _step_within(layout: Layout, vector: Array, current: "Normal", damping: float) -> Array:
@@ -268,19 +268,25 @@ class Normal:
                 inner += float(scaled @ weighted)
         return inner - float(solved(self.hessian.sum(axis=0) + self.ridge, across) @ across)
 
-    def fitted(self, point: Point) -> Fitted:
-        """Fit with the leave-one-block-out losses, by one linear step.
+    def left_out_moves(self) -> Array:
+        """Change of the fitted vector when a block is left out, shape (B, P), by one linear step.
 
         A weak prior holds a parameter that one block alone determines.
         """
-        hessian = self.hessian.sum(axis=0) + self.ridge + self.layout.prior(self.chain, point)
+        hessian = self.hessian.sum(axis=0) + self.ridge + self.layout.prior(self.chain, self.point)
         gradient = self.gradient.sum(axis=0) + self.pull
-        losses = np.empty(self.squares.size)
-        moves = np.empty((self.squares.size, gradient.size))
-        for b in range(losses.size):
-            move = solved(hessian - self.hessian[b], gradient - self.gradient[b])
-            moves[b] = move
-            losses[b] = self.squares[b] - 2.0 * move @ self.gradient[b] + move @ self.hessian[b] @ move
+        pairs = zip(self.hessian, self.gradient, strict=True)
+        return np.array([solved(hessian - block, gradient - side) for block, side in pairs])
+
+    def fitted(self) -> Fitted:
+        """Fit with the leave-one-block-out losses, by one linear step."""
+        moves = self.left_out_moves()
+        losses = np.array(
+            [
+                square - 2.0 * move @ side + move @ block @ move
+                for square, move, side, block in zip(self.squares, moves, self.gradient, self.hessian, strict=True)
+            ]
+        )
         jackknife = np.sqrt((losses.size - 1) / losses.size * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0))
         spread: tuple[dict[str, float], ...] = tuple({} for _ in self.terms)
         for place, (term, parameter) in enumerate(self.layout.searched, start=self.layout.effects):
@@ -288,7 +294,7 @@ class Normal:
         counted = np.where(self.counting, self.samples, 0.0)
         samples = np.maximum(self.samples, 1.0)
         left_out = np.where(self.counting, np.maximum(losses, 1e-12), 1e-12) / samples
-        return Fitted(self.terms, point, left_out, self.counting * self.squares / samples, counted, spread)
+        return Fitted(self.terms, self.point, left_out, self.counting * self.squares / samples, counted, spread)
 
 
 def _jacobian(

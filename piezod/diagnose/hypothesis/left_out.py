@@ -3,19 +3,10 @@
 import numpy as np
 
 from piezod.arrays import Array
-from piezod.diagnose.hypothesis.fit import Normal, solved
 
 INTERVAL_FACTOR, FORM_ERROR = 2.0, 0.015
 """Factor on the errors that left-out blocks give, and relative error of the effect's form, added in squares.
 Of 24 parameters of 33 concealed benches, 13 lay in the intervals of the blocks alone, and 21 in these."""
-
-
-def left_out_moves(normal: Normal) -> Array:
-    """Change of the fitted vector when a block is left out, shape (B, P), by one linear step."""
-    hessian = normal.hessian.sum(axis=0) + normal.ridge + normal.layout.prior(normal.chain, normal.point)
-    gradient = normal.gradient.sum(axis=0) + normal.pull
-    pairs = zip(normal.hessian, normal.gradient, strict=True)
-    return np.array([solved(hessian - block, gradient - side) for block, side in pairs])
 
 
 def covariance(moves: Array, form_errors: Array) -> Array:

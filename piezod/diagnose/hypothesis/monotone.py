@@ -49,7 +49,7 @@ def monotone_fit(chain: Chain, fitted: Fitted) -> Fitted:
         least = normal.loss
         if fell < DONE:
             break
-    return normal.fitted(normal.point) if np.isfinite(least) else fitted
+    return normal.fitted() if np.isfinite(least) else fitted
 
 
 def _rising(chain: Chain, layout: Layout) -> Constraints:

@@ -16,7 +16,7 @@ from piezod.arrays import Array
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal
 from piezod.diagnose.hypothesis.layout import scaled, unscaled
-from piezod.diagnose.hypothesis.left_out import FORM_ERROR, covariance, left_out_moves
+from piezod.diagnose.hypothesis.left_out import FORM_ERROR, covariance
 from piezod.effects.parameter import Parameter
 from piezod.model.information import Information, marginal
 
@@ -71,7 +71,7 @@ def joint_estimate(
         return None
     searched = [pair for pair, is_seen in zip(searched, seen, strict=True) if is_seen]
     before = covariance_of(information[np.ix_(seen, seen)])
-    moves = left_out_moves(normal)[:, [place for place, _ in searched]]
+    moves = normal.left_out_moves()[:, [place for place, _ in searched]]
     since = covariance(moves, np.array([_form_error(parameter, given[parameter.name]) for _, parameter in searched]))
     values = changed.point.values[next(k for k, term in enumerate(changed.terms) if term.effect.name == name)]
     old = np.array([scaled(parameter, given[parameter.name]) for _, parameter in searched])

@@ -27,11 +27,11 @@ class LinearGains:
     def __init__(self, few: Chain, fitted: Fitted) -> None:
         self._few, self._fitted = few, fitted
         self._normal = Normal.at(few, fitted.terms, fitted.point, robust=False)
-        self._before = self._normal.fitted(fitted.point)
+        self._before = self._normal.fitted()
 
     def may_gain(self, terms: Sequence[Term], point: Point) -> bool:
         """Whether a linear step with other terms comes near the least gain over the hypothesis."""
-        there = Normal.at(self._few, terms, point, robust=False).fitted(point)
+        there = Normal.at(self._few, terms, point, robust=False).fitted()
         before, after = comparable(self._before, there)
         return is_near(before.loss, after.loss, steadiness(before, after))
 

@@ -14,7 +14,7 @@ from piezod.arrays import Array
 from piezod.diagnose.hypothesis.basis import HATS, SPLINES, ForceLaw
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, solved, thinned
-from piezod.diagnose.hypothesis.left_out import FORM_ERROR, covariance, left_out_moves
+from piezod.diagnose.hypothesis.left_out import FORM_ERROR, covariance
 from piezod.diagnose.hypothesis.stack_change import NAMES, factors
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.model import Model
@@ -121,7 +121,7 @@ def _figure_errors(normal: Normal, low: float, high: float, simulated: Sequence[
             moved = vector.copy()
             moved[place] += size
             gradient[:, place] = (figures(moved) - middle) / size
-    moves = left_out_moves(normal) @ gradient.T
+    moves = normal.left_out_moves() @ gradient.T
     count = moves.shape[0]
     variances = (count - 1) / count * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0)
     edges = np.cumsum([0, *(len(series.blocks) for series in normal.chain.series)])
@@ -225,7 +225,7 @@ def _rows_of(normal: Normal, matrix: Array) -> _Rows:
 def _weakened(own: Array, normal: Normal, places: NDArray[np.int64], estimate: Array, per_unit: Array) -> Array:
     """Information in which the error of an effect's parameter is at least that from left-out blocks."""
     form_errors = np.where(places < normal.layout.effects, 0.0, FORM_ERROR * np.abs(estimate * per_unit))
-    left_out = np.diag(covariance(left_out_moves(normal)[:, places], form_errors)) / per_unit**2
+    left_out = np.diag(covariance(normal.left_out_moves()[:, places], form_errors)) / per_unit**2
     alone = [float(marginal(own, np.array([k], dtype=np.int64))[0, 0]) for k in range(places.size)]
     least = 1.0 / np.maximum(alone, 1e-300)
     factors = np.where(places < normal.layout.effects, 1.0, np.sqrt(np.maximum(left_out / least, 1.0)))
