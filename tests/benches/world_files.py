@@ -84,6 +84,13 @@ def rows(separator=",", columns=(TIME_S, U_V, F_N), form="{:.6f}", decimal=".", 
     return "".join(separator.join(cells) + end for cells in zip(*texts, strict=True))
 
 
+def remarked(at, text, separator):
+    """Rows of text with a remark behind row `at`."""
+    lines = text.splitlines()
+    lines[at] += f"{separator}Start"
+    return "".join(f"{line}{'' if k == at else separator}\n" for k, line in enumerate(lines))
+
+
 def stamps(form, separator="."):
     """Local times of the samples."""
     return [
@@ -561,6 +568,82 @@ def world_files():
             ("time_s,voltage_V,force_N\n" + power_cut + "0.5,1\0\0\0\0" + "\0" * 400).encode(),
             rows=half,
             says="zero bytes",
+        ),
+        WorldFile(
+            "spreadsheet with a remark on the first sample",
+            "a column of remarks, empty in most rows",
+            ".csv",
+            "Zeit [s];U [V];F [N];Bemerkung\n" + remarked(0, german, ";"),
+            says="Bemerkung: Start",
+        ),
+        WorldFile(
+            "spreadsheet with remarks amid, between numbers",
+            "a column of remarks, empty in most rows",
+            ".csv",
+            "time_s,remark,voltage_V,force_N\n"
+            + rows(columns=(TIME_S, ["touched" if k % 60 == 7 else "" for k in range(N)], U_V, F_N)),
+            says="left out: 'remark'",
+        ),
+        WorldFile(
+            "logger with remarks at the end of rows",
+            "a column of remarks, empty in most rows",
+            ".csv",
+            "time_s,voltage_V,force_N,note\n" + remarked(31, zero, ","),
+            says="note: Start",
+        ),
+        WorldFile(
+            "logger with a status of numbers and words",
+            "a column 0, 0, ERR, 0 that nobody asked for",
+            ".csv",
+            "time_s,voltage_V,force_N,status\n"
+            + rows(columns=(TIME_S, U_V, F_N, ["BLOCKED" if k == 9 else "0" for k in range(N)])),
+            refused="choose columns without it, --columns",
+        ),
+        WorldFile(
+            "logger with a status of numbers and words, named",
+            "a column 0, 0, ERR, 0 that nobody asked for",
+            ".csv",
+            "time_s,voltage_V,force_N,status\n"
+            + rows(columns=(TIME_S, U_V, F_N, ["BLOCKED" if k == 9 else "0" for k in range(N)])),
+            options=TextOptions(columns=("time_s=time_s", "voltage_V=voltage_V", "force_N=force_N")),
+        ),
+        WorldFile(
+            "HDF5, start times differ",
+            "https://github.com/adamreeve/npTDMS/issues/41, as attributes",
+            ".h5",
+            lambda path: hdf5(path, voltage_V=(U_V, {"t0": 0.0, "dt": DT_S}), force_N=(F_N, {"t0": 0.5, "dt": DT_S})),
+            options=TextOptions(rate_Hz=1.0 / DT_S),
+            refused="differ in time",
+            needs="h5py",
+        ),
+        WorldFile(
+            "HDF5, one start time",
+            "attributes of one time for all",
+            ".h5",
+            lambda path: hdf5(path, voltage_V=(U_V, {"t0": 0.5, "dt": DT_S}), force_N=(F_N, {"t0": 0.5, "dt": DT_S})),
+            options=TextOptions(rate_Hz=1.0 / DT_S),
+            needs="h5py",
+        ),
+        WorldFile(
+            "HDF5, a start time of one channel",
+            "an attribute that only one dataset has",
+            ".h5",
+            lambda path: hdf5(path, time_s=TIME_S, voltage_V=U_V, force_N=(F_N, {"start_time": 0.5})),
+            says="times that are not applied: force_N of start_time = 0.5",
+            needs="h5py",
+        ),
+        WorldFile(
+            "HDF5, dates with a zone as text",
+            "ISO 8601",
+            ".h5",
+            lambda path: hdf5(
+                path,
+                time=np.array([f"{s}+01:00" for s in stamps("2026-11-28T")], dtype="S40"),
+                voltage_V=U_V,
+                force_N=F_N,
+            ),
+            says="time as dates from 'time'",
+            needs="h5py",
         ),
         WorldFile(
             "logger that was cut",

@@ -4,6 +4,7 @@ The first column is `time_s`, the separator is a comma, the encoding is UTF-8. `
 pyarrow 17 or later for large files, if installed. Limits: a line up to 4 MiB, 10,000 lines of metadata, 2**29 numbers.
 """
 
+import re
 from collections.abc import Sequence
 from itertools import repeat
 from pathlib import Path
@@ -13,16 +14,15 @@ import numpy as np
 
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import replaced_file
-from piezod.recording.formats.repairs import is_missing
 from piezod.recording.formats.stream import chunk_ranges
-from piezod.recording.formats.text_cells import is_number
-from piezod.recording.formats.text_layout import Layout
+from piezod.recording.formats.text_layout import SAMPLE, Layout, text_cells
 from piezod.recording.names import TIME, channel_name, name_columns
 from piezod.recording.quantities import Column, is_unit
 from piezod.recording.recording import Recording
 
 LONGEST_LINE = 2**22  # length of a line [bytes]
 MOST_HEAD_LINES = 10_000  # lines within which the header row must come
+_OWN_LETTERS = re.compile("[^0-9eEnaif+., \\t\\r\\n-]")  # a character that no number of `write_csv` has
 WRITTEN_ROWS = 2**14  # rows that are formatted together
 
 
@@ -41,11 +41,11 @@ def own_layout(path: Path, *, required: bool = False) -> Layout | None:
     """
     with path.open("rb") as file:
         metadata, line, number = _read_head(file, path, required=required)
-        following = [file.readline(LONGEST_LINE).decode("latin-1").strip("\r\n").split(",") for _ in range(2)]
+        lines = file.read(SAMPLE).decode("latin-1").split("\n")
     cells = line.split(",")
     if required and channel_name(cells[0]) != TIME:
         raise RecordingError(f"{path}: first column is {cells[0].strip()[:40]!r}, must be {TIME}")
-    if not required and not _is_own(cells, following):
+    if not required and not _is_own(cells, [line.strip("\r") for line in lines]):
         return None
     names = name_columns(path, [(cell, "") for cell in cells])
     columns = tuple(Column(name, "time" if name == TIME else "", "s" if name == TIME else "") for name in names)
@@ -58,19 +58,15 @@ def own_layout(path: Path, *, required: bool = False) -> Layout | None:
     )
 
 
-def _is_own(cells: Sequence[str], following: Sequence[Sequence[str]]) -> bool:
+def _is_own(cells: Sequence[str], following: Sequence[str]) -> bool:
     """Whether a header begins with `time_s`, without quotes, and no column below it holds units or words."""
     if len(cells) < 2 or cells[0].strip() != TIME or not all(cell.strip() and '"' not in cell for cell in cells):
         return False
-    if any('"' in cell for cell in following[0]) or all(is_unit(cell) for cell in following[0]):
+    if '"' in following[0] or all(is_unit(cell) for cell in following[0].split(",")):
         return False
-    return not any(
-        all(
-            len(row) == len(cells) and not is_missing(cell := row[k].strip()) and not is_number(cell, ".")
-            for row in following
-        )
-        for k in range(len(cells))
-    )
+    if len(following) > 1 and not _OWN_LETTERS.search("\n".join(following[:-1])):  # the last line is perhaps cut
+        return True
+    return not text_cells(following[: -1 if len(following) > 1 else None], ",", ".", len(cells))
 
 
 def write_csv(recording: Recording, path: Path) -> None:

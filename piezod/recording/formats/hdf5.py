@@ -4,12 +4,13 @@ Library: h5py 3.11 or later; reads every version of the file format that h5py re
 Limits: vectors, the columns of matrices and the fields of tables, in groups of any depth up to 16; 2**29 numbers.
 `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are applied (NetCDF Climate and Forecast conventions
 1.11, sections 2.5.1 and 8.1); other attributes that may change numbers are named.
-Skipped are external links, external storage and virtual datasets, because they lead to other files. References, text
-and scalars are skipped, because they hold no samples.
+A vector of ISO 8601 texts is read as dates. Skipped are external links, external storage and virtual datasets, because
+they lead to other files. References, other text and scalars are skipped, because they hold no samples.
 """
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,6 +33,12 @@ MISSING_ATTRIBUTES = ("_FillValue", "missing_value")
 UNKNOWN_ATTRIBUTES = ("slope", "intercept", "offset", "gain", "scale", "factor", "sensitivity", "calibration", "lsb")
 """Attributes that may change numbers and have no common meaning."""
 
+TIMING_ATTRIBUTES = (
+    *("t0", "start", "start_time", "starttime", "time_offset", "wf_start_time", "wf_start_offset", "delay"),
+    *("dt", "interval", "sample_interval", "sampling_rate", "sample_rate", "rate", "wf_increment"),
+)
+"""Attributes that state start or interval of the samples, in lower case."""
+
 MOST_ATTRIBUTE_BYTES = 2**16
 """Size of an attribute: HDF5 keeps it in the header of its object, which has at most 64 KiB."""
 
@@ -50,9 +57,16 @@ class Vector(NamedTuple):
         """Its length."""
         return int(self.dataset.size if self.part is None or isinstance(self.part, str) else max(self.dataset.shape))
 
+    @property
+    def is_date(self) -> bool:
+        """Whether it holds dates as text."""
+        return self.part is None and self.dataset.dtype.kind in "SO"
+
     def read(self, start: int, stop: int) -> NDArray[Any]:
-        """Stored values of a range, converted by the attributes of the conventions."""
+        """Stored values of a range, converted by the attributes of the conventions; dates in UTC."""
         dataset = self.dataset
+        if self.is_date:
+            return np.array([_date(text) for text in dataset[start:stop]], dtype="datetime64[ns]")
         if isinstance(self.part, str):
             return np.ascontiguousarray(dataset[self.part, start:stop])
         if dataset.ndim == 1:
@@ -97,7 +111,9 @@ def stream_of(
     every = [
         Stored(
             *(name, vector.samples, _unit(vector), name.rpartition("/")[2].replace(":", "_")),
+            is_date=vector.is_date,
             of_matrix=isinstance(vector.part, int),
+            timing=_timing(vector.dataset),
         )
         for name, vector in vectors.items()
     ]
@@ -174,13 +190,31 @@ def _add(path: str, dataset: Any, vectors: dict[str, Vector], skipped: list[str]
         vectors |= {f"{path}/{name}": Vector(dataset, name) for name in fields}
         skipped += [f"{path}/{name}" for name in dataset.dtype.names if name not in fields]
     elif dataset.dtype.kind not in "fiub":
-        skipped.append(path)
+        if len(shape) == 1 and _holds_dates(dataset):
+            vectors[path] = Vector(dataset)
+        else:
+            skipped.append(path)
     elif len(shape) < 3 and dataset.size in shape:
         vectors[path] = Vector(dataset)
     elif len(shape) == 2 and min(shape) <= MOST_COLUMNS:
         vectors |= {f"{path}:{k + 1}": Vector(dataset, k) for k in range(min(shape))}
     else:
         skipped.append(path)
+
+
+def _holds_dates(dataset: Any) -> bool:  # noqa: ANN401
+    """Whether a dataset holds text, and its first and last texts are dates."""
+    is_text = dataset.dtype.kind == "S" or (dataset.dtype.metadata is not None and "vlen" in dataset.dtype.metadata)
+    return is_text and not any(np.isnat(_date(dataset[k])) for k in (0, -1))
+
+
+def _date(text: object) -> np.datetime64:
+    """Date and time of ISO 8601, in UTC where a zone is stated; "not a time" for another text."""
+    try:
+        date = datetime.fromisoformat(_attribute_text(text).strip())
+    except ValueError:
+        return np.datetime64("NaT")
+    return np.datetime64(date.astimezone(UTC).replace(tzinfo=None) if date.tzinfo else date, "ns")
 
 
 def _converted(values: NDArray[Any], attributes: Any) -> NDArray[Any]:  # noqa: ANN401
@@ -218,6 +252,12 @@ def _unknown_attributes(dataset: Any) -> list[str]:  # noqa: ANN401
         if (key in applied and _number(_attribute(dataset.attrs, key)) is None)
         or (key not in applied and key.lower().split("_")[0] in UNKNOWN_ATTRIBUTES)
     ]
+
+
+def _timing(dataset: Any) -> str:  # noqa: ANN401
+    """Start and interval of the samples by the attributes."""
+    stated = ((key, _attribute(dataset.attrs, key)) for key in dataset.attrs if key.lower() in TIMING_ATTRIBUTES)
+    return ", ".join(f"{key} = {_attribute_text(value) or value!s:.40}" for key, value in stated)
 
 
 def _unit(vector: Vector) -> str:

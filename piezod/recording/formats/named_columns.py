@@ -45,6 +45,8 @@ class Stored(NamedTuple):
         Whether it holds dates.
     of_matrix
         Whether it is a column of a matrix; such a column is never the time, unless the user names it.
+    timing
+        Start and interval of its samples as the file states them, such as `t0 = 0.5`; empty: none is stated.
     """
 
     path: str
@@ -53,6 +55,7 @@ class Stored(NamedTuple):
     name: str = ""
     is_date: bool = False
     of_matrix: bool = False
+    timing: str = ""
 
     @property
     def table(self) -> str:
@@ -107,6 +110,7 @@ def named_stream(
         even_time = lambda rows: np.asarray(period_s * rows, dtype=np.float64)  # noqa: E731  # as the caller's
         metadata["understood"] = f"time from a sample interval of {period_s:.9g} s"
     columns = _wanted(path, every, options)
+    _check_timing(path, columns, metadata)
     _name_left_out(every, columns, metadata)
     time, names = _time_of(path, columns, pieces, metadata, even=even_time is not None)
     samples = common_length(path, {name: column.samples for name, column in columns.items()})
@@ -160,6 +164,17 @@ def _wanted(path: Path, every: Sequence[Stored], options: TextOptions) -> dict[s
             by_path[written].name if name == written else name: by_path[written] for name, written in chosen.items()
         }
     return _by_name(_one_table(path, every))
+
+
+def _check_timing(path: Path, columns: Mapping[str, Stored], metadata: dict[str, str]) -> None:
+    """Refuse columns whose samples are at different times by the file's own words; name words that only some have."""
+    stated = {column.timing: column.path for column in columns.values() if column.timing}
+    listed = ", ".join(f"{written} of {timing}" for timing, written in stated.items())[:MOST_LISTED]
+    if len(stated) > 1:
+        raise RecordingError(f"{path}: columns differ in time: {listed}; export columns of one time")
+    if stated and any(not column.timing and not _is_time(key, column) for key, column in columns.items()):
+        notes = filter(None, [metadata.get("attributes"), f"times that are not applied: {listed}"])
+        metadata["attributes"] = "; ".join(notes)
 
 
 def _name_left_out(every: Sequence[Stored], columns: Mapping[str, Stored], metadata: dict[str, str]) -> None:

@@ -35,6 +35,7 @@ from piezod.recording.names import TIME
 from piezod.recording.quantities import UNITS
 from piezod.recording.recording import Recording
 
+FEWEST_COLUMNS = 3  # time, input and output; a further column may be left out
 BLOCK = 2**22  # characters that are parsed together: the numbers fit into the processor's cache, and calls cost little
 LARGE = 2**24  # file size above which parsing by pyarrow saves more time than its import costs [bytes]
 OVERLOAD = 9.8e37
@@ -290,6 +291,8 @@ class _Rows:
             name = written if layout.own else f"'{written}'"
             wanted = "a time" if k == layout.time and not layout.own else "a number"
             hint = "" if layout.own else ", or give --decimal"
+            if len(layout.columns) > FEWEST_COLUMNS and k != layout.time:
+                hint += "; or choose columns without it, --columns NAME=COLUMN,..."
             raise RecordingError(
                 f"{self._path}: line {line}: {name} is {cell.strip()[:40]!r}, must be {wanted} or empty{hint}"
             ) from None

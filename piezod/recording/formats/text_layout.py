@@ -217,7 +217,9 @@ def find_layout(path: Path, options: TextOptions) -> Layout:
 def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -> Layout:
     encoding, lines = _begin(path)
     table = _table(path, lines[: 2 * MOST_PREAMBLE_LINES], options.decimal)
-    separator, decimal, first, width, words = table.separator, table.decimal, table.first, table.width, table.words
+    separator, decimal, width = table.separator, table.decimal, table.width
+    first = _first_row(lines, table)
+    words = table.words | text_cells(lines[first:], separator, decimal, width)
     if separator == ";" and not options.decimal and not any("," in line for line in lines[first:]):
         decimal = "."  # a point is a decimal mark where no comma is
     rows = [
@@ -322,6 +324,48 @@ def _table(path: Path, lines: Sequence[str], decimal: str) -> _Table:
     if best.rows < FEWEST_ROWS:
         raise RecordingError(f"{path}: holds no table of numbers within its first {len(lines)} lines")
     return best
+
+
+def _first_row(lines: Sequence[str], table: _Table) -> int:
+    """Index of the first row, also where words behind its numbers make it look like a header."""
+    first = table.first
+    while first > 0 and (cells := split_cells(lines[first - 1], table.separator))[table.width :]:
+        row = table.separator.join(cells[: table.width])
+        if _row_width(row, table.separator, table.decimal, table.words) != table.width:
+            break
+        if all(is_number(cell, table.decimal) for cell in cells[table.width :]):
+            break
+        first -= 1
+    return first
+
+
+def text_cells(rows: Sequence[str], separator: str, decimal: str, width: int) -> frozenset[int]:
+    """Cells that hold words where they are not empty, such as remarks on single samples.
+
+    Parameters
+    ----------
+    rows
+        Lines from the first sample on.
+    separator, decimal
+        Characters between two cells, and before the decimals.
+    width
+        Cells of a row.
+    """
+    if separator == " ":
+        return frozenset()
+    with_words: set[int] = set()
+    with_numbers: set[int] = set()
+    for row in rows:
+        if row.startswith(COMMENTS):
+            continue
+        for k, cell in enumerate(split_cells(row, separator)[:width]):
+            if not cell or k in with_numbers:
+                continue
+            if is_number(cell, decimal) or is_clock(cell):
+                with_numbers.add(k)
+            else:
+                with_words.add(k)
+    return frozenset(with_words - with_numbers)
 
 
 def _word_cells(lines: Sequence[str], separator: str, decimal: str) -> frozenset[int]:
