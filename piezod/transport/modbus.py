@@ -332,9 +332,8 @@ class ModbusLink:
         if result is ExchangeResult.DISCONNECTED and self._wire.framing == "tcp" and not self._wire.answered:
             raise BusyError(f"{where}: connection closed without a reply: another client may hold the device")
         if result in (ExchangeResult.TIMEOUT, ExchangeResult.DISCONNECTED):
-            raise UnreachableError(
-                f"{where}: {result.name.lower()}: check unit_id, cable, and whether another client holds it"
-            )
+            advice = self._wire.hint or "check unit_id, cable, and whether another client holds it"
+            raise UnreachableError(f"{where}: {result.name.lower()}: {advice}")
         what = "baudrate and parity" if result is ExchangeResult.BAD_CRC else "unit_id, address and function"
         advice = f": {self._wire.hint}" if self._wire.hint else f": check {what}"
         raise ConfigurationError(f"{where}: the reply is invalid, {result.name.lower()}{advice}")

@@ -11,6 +11,7 @@ from piezod.config.link import ModbusRtuLink, RtuOverTcpLink
 from piezod.runtime import clock
 from piezod.transport.bad_exchange import BadExchange
 from piezod.transport.frames import CRC_BYTES, Framing, Request, classify, crc16
+from piezod.transport.hints import SHORTEST_FRAME_BYTES, rtu_hint
 from piezod.transport.link import ExchangeResult
 from piezod.transport.port import RECEIVE_BYTES
 from piezod.transport.serial_port import SerialPort
@@ -20,7 +21,6 @@ from piezod.transport.wire_rate import gap_s
 QUIET_S = 0.004  # above the gap of 1.75 ms between frames; adapters deliver bytes in groups
 OVERSLEEP_S = 0.0001  # the kernel may wake the process this late; the rest of a gap is a busy wait
 BAD_IN_A_ROW = 5  # wrong checksums in a row that indicate wrong line settings
-SHORTEST_FRAME_BYTES = 5  # a Modbus exception: unit, function, code, CRC
 
 _OK = ExchangeResult.OK
 _TIMEOUT = ExchangeResult.TIMEOUT
@@ -170,7 +170,8 @@ class RtuWire:
         ):
             return _TIMEOUT
         self._bad_crc_in_a_row += 1
-        if self._bad_crc_in_a_row >= BAD_IN_A_ROW:
+        self.hint = rtu_hint(port.view[:received], request)
+        if not self.hint and self._bad_crc_in_a_row >= BAD_IN_A_ROW:
             self.hint = f"{self._bad_crc_in_a_row} bad checksums in a row: check baudrate and parity"
         return _BAD_CRC
 

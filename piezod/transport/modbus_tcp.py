@@ -13,6 +13,7 @@ from piezod.config.link import ModbusTcpLink
 from piezod.runtime import clock, sockets
 from piezod.transport.bad_exchange import BadExchange
 from piezod.transport.frames import MBAP_BYTES, Framing, Request, classify
+from piezod.transport.hints import tcp_hint
 from piezod.transport.link import ExchangeResult
 from piezod.transport.port import MOST_STALE_BYTES, RECONNECT_S, send_frame
 from piezod.transport.tcp_connection import Connection, Endpoint, connect, connect_to_host, input_waiter
@@ -127,6 +128,7 @@ class TcpWire:
             result = _DISCONNECTED
         if result is not _OK:
             self.bad_exchange.keep(result, frame, self._buffer, self._received)
+            self.hint = "" if self.answered else tcp_hint(result, self.payload[: self._received], request)
             self._after_failure(result)
         return result
 
@@ -158,6 +160,7 @@ class TcpWire:
             else:
                 self.stale_bytes += received - size
                 self.answered = True
+                self.hint = ""
                 return _OK
             space = view[received:]
 
