@@ -10,6 +10,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from piezod.runtime.compiled_code import provide_folder
+
 if TYPE_CHECKING:
     from piezod.api import (
         EFFECTS,
@@ -44,6 +46,7 @@ __all__ = [
     "simulate",
 ]
 
+provide_folder()  # before numba is imported, which reads the environment once
 
 # Packages have the names of three functions. Python binds a package here once, when it is first imported: now.
 for _name in ("diagnose", "history", "identify"):
