@@ -1,7 +1,7 @@
 """A place for compiled functions where neither the package nor the user's cache is writable, as in a container.
 
-Numba keeps compiled functions in the folder of the source, or in the user's cache folder. With neither, it refuses to compile.
-This process and its children then share a private folder, which goes with the process.
+Numba keeps compiled functions in the folder of the source, or in the user's cache folder. With neither, it refuses to
+compile. This process and its children then share a private folder, which goes with the process.
 
 Modules of the standard library are imported where they are needed: each command imports this module.
 """
