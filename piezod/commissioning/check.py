@@ -4,6 +4,7 @@ This module checks the configuration and its model; `check_reference.py` the ref
 and `check_device.py` the device.
 """
 
+import os
 from collections.abc import Callable, Iterator
 from ipaddress import ip_address
 from pathlib import Path
@@ -22,6 +23,7 @@ from piezod.errors import PiezodError
 from piezod.model import ExtendedCompensator, Model, acting_effects, load_model, steady_range
 from piezod.model.unnamed_law import NAME as UNNAMED
 from piezod.session.assembly import check_effects, check_units, check_wire
+from piezod.transport.port_names import is_allowed_in_service
 
 WITHOUT_CONSEQUENCES = {
     "identity": "another device would not be noticed",
@@ -59,6 +61,7 @@ def check_bench(path: Path) -> list[Check]:
     checks.extend(check_configuration_file(path))
     checks.extend(_arming(bench))
     checks.extend(_network(bench))
+    checks.extend(check_ports(bench))
     checks.extend(check_machine(bench))
     checks.extend(check_device(bench))
     return checks
@@ -152,6 +155,20 @@ def _network(bench: BenchConfig) -> Iterator[Check]:
             tls = "set tls, or " if isinstance(link, ModbusTcpLink) else ""
             remedy = f"every program on that network can read and write; {tls}use a separate network"
             yield Check("network", "WARN", finding, remedy)
+
+
+def check_ports(bench: BenchConfig) -> Iterator[Check]:
+    """Check whether the service may open the serial ports; by hand a user may open others."""
+    for name, link in (("link", bench.link), ("load_cell_link", bench.load_cell_link)):
+        port = getattr(link, "port", None)
+        if isinstance(port, str) and not is_allowed_in_service(port):
+            device = os.path.realpath(port)
+            yield Check(
+                "service",
+                "WARN",
+                f"{name}.port is {port}, which piezod.service does not allow",
+                f"systemctl edit piezod.service, and add: [Service] DeviceAllow={device} rw",
+            )
 
 
 def _is_loopback(host: str) -> bool:

@@ -1,5 +1,6 @@
 """Kinds of serial ports by the names that Linux gives them."""
 
+import os
 from pathlib import Path
 
 KINDS = {
@@ -11,6 +12,8 @@ KINDS = {
     "ttymxc": "serial port of the board",
 }
 """Kind by the begin of a name: Documentation/admin-guide/devices.txt of the kernel."""
+SERVICE_PORTS = ("ttyS", "ttyUSB", "ttyACM", "ttyAMA")
+"""Begins of the names of ports that `systemd/piezod.service` allows (`DeviceAllow`)."""
 BUILT_IN = "serial port of the board"
 
 
@@ -26,6 +29,20 @@ def port_kind(port: str) -> str:
     return next(
         (kind for begin, kind in KINDS.items() if name.startswith(begin) and name[len(begin) :].isdecimal()), ""
     )
+
+
+def is_allowed_in_service(port: str) -> bool:
+    """Whether `systemd/piezod.service` allows a serial port; a link such as /dev/serial/by-id/... is followed.
+
+    A pseudo terminal of an emulator, which no service uses, counts as allowed.
+
+    Parameters
+    ----------
+    port
+        Path of the port.
+    """
+    name = Path(os.path.realpath(port)).name
+    return not name.startswith("tty") or name.rstrip("0123456789") in SERVICE_PORTS
 
 
 def missing_port_remedy(port: str) -> str:
