@@ -17,6 +17,7 @@ COUNTERS = {"heartbeat": 0, "command_echo": 1, "status": 2, "reference_counter":
 _HIGHEST = sys.float_info.max  # finite values lie within +- this value
 _COUNTS = 65536  # counters are compared modulo 16 bits
 _HALF = 32768  # a larger advance is a step backwards
+_UNKNOWN_AFTER_S = 5.0  # since the last reading: a device of 6,554 samples a second has then passed the half
 
 _OK = ExchangeResult.OK
 
@@ -90,6 +91,7 @@ class Plausibility:
     """
 
     __slots__ = (
+        "_accepted_s",
         "_advanced_s",
         "_has_echo",
         "_has_heartbeat",
@@ -110,7 +112,7 @@ class Plausibility:
         self._heartbeat = 0
         self._heartbeat_known = False
         self._within_s = heartbeat_within_s
-        self._advanced_s = 0.0
+        self._accepted_s = self._advanced_s = 0.0
 
     def forget_heartbeat(self) -> None:
         """Accept any next heartbeat, because the device may have restarted."""
@@ -124,10 +126,14 @@ class Plausibility:
         if self._has_heartbeat and self._heartbeat_known:
             advance = (heartbeat - self._heartbeat) % _COUNTS
             now_s = clock.monotonic()
-            if (advance == 0 and now_s - self._advanced_s >= self._within_s) or advance >= _HALF:
+            backwards = advance >= _HALF and now_s - self._accepted_s < _UNKNOWN_AFTER_S
+            if backwards or (advance == 0 and now_s - self._advanced_s >= self._within_s):
                 return ExchangeResult.HEARTBEAT_STOOD
+            self._accepted_s = now_s
             if advance:
                 self._advanced_s = now_s
+        elif self._has_heartbeat:
+            self._accepted_s = clock.monotonic()
         self._heartbeat, self._heartbeat_known = heartbeat, True
         reading = self.reading
         reading.force_N, reading.voltage_readback_V, reading.temperature_C, reading.reference_N = self.values

@@ -141,6 +141,30 @@ def test_a_heartbeat_may_stay_unchanged_for_the_configured_time_only(monkeypatch
     assert results == [ok, ok, ok, stood, ok, stood]
 
 
+@pytest.mark.parametrize(("after_s", "good"), [(0.5, False), (4.9, False), (8.3, True), (12.0, True)])
+def test_a_heartbeat_after_a_long_silence_is_accepted_wherever_it_stands(monkeypatch, after_s, good):
+    """A counter of 4,000 samples a second passes half its range in 8.2 s: it has not gone backwards."""
+    now_s = 100.0
+    monkeypatch.setattr(clock, "monotonic", lambda: now_s)
+    plausibility = Plausibility(frozenset({"heartbeat"}), heartbeat_within_s=0.005)
+    plausibility.accept(-1)
+    now_s += after_s
+    plausibility.counters[0] = 40_000
+    assert (plausibility.accept(-1) is ExchangeResult.OK) is good
+    now_s += 0.001
+    plausibility.counters[0] = 40_004
+    assert (plausibility.accept(-1) is ExchangeResult.OK) is good
+
+
+def test_a_standing_heartbeat_is_refused_after_any_time(monkeypatch):
+    now_s = 100.0
+    monkeypatch.setattr(clock, "monotonic", lambda: now_s)
+    plausibility = Plausibility(frozenset({"heartbeat"}), heartbeat_within_s=0.005)
+    plausibility.accept(-1)
+    now_s += 60.0
+    assert plausibility.accept(-1) is ExchangeResult.HEARTBEAT_STOOD
+
+
 def test_a_command_number_in_front_of_the_voltage_keeps_both_in_their_places():
     writes = {
         "command_sequence": register("uint16", address=30),
