@@ -15,7 +15,7 @@ from pathlib import Path
 from piezod.config.run_time_files import FILE_MODE
 from piezod.recording.formats.sqlite_blocks import Block
 from piezod.recording.formats.sqlite_tables import TABLES, About, append_block, create_tables
-from piezod.runtime import descriptors
+from piezod.runtime import databases, descriptors
 
 SUFFIX = ".sqlite"
 PARTS = ("", "-wal", "-shm", "-journal")  # suffixes of a file and of its companion files of SQLite
@@ -44,7 +44,7 @@ class RecordingFile:
         self.path = _new_file(folder, bench)
         self._about: About | None = about
         try:
-            self._connection = sqlite3.connect(self.path, isolation_level=None, timeout=LOCK_WAIT_S)
+            self._connection = databases.connect(self.path, isolation_level=None, timeout=LOCK_WAIT_S)
             try:
                 self._prepare(folder)
             except BaseException:
@@ -126,7 +126,7 @@ def tidy_files(paths: list[Path]) -> None:
         with contextlib.suppress(OSError, sqlite3.Error):
             if path.stat().st_size and not path.with_name(path.name + "-wal").exists():
                 continue
-            with contextlib.closing(sqlite3.connect(path, isolation_level=None, timeout=0.0)) as connection:
+            with contextlib.closing(databases.connect(path, isolation_level=None, timeout=0.0)) as connection:
                 tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_schema")}
                 connection.execute("PRAGMA journal_mode = DELETE")  # refused while another process has it open
             if not tables:

@@ -5,14 +5,16 @@ import os
 import termios
 from math import inf
 from pathlib import Path
-
-import serial
+from typing import TYPE_CHECKING
 
 from piezod.config.link import ModbusRtuLink, SerialLineLink
 from piezod.errors import BusyError, PiezodError, UnreachableError
-from piezod.runtime import descriptors, processes
+from piezod.runtime import descriptors, processes, serial_ports
 from piezod.transport.port import Port
 from piezod.transport.port_names import missing_port_remedy
+
+if TYPE_CHECKING:
+    import serial
 
 
 class SerialPort(Port):
@@ -63,7 +65,7 @@ class SerialPort(Port):
     def _connect(self, deadline_s: float) -> None:  # noqa: ARG002 - a port opens at once
         config = self._config
         try:
-            port = serial.Serial(
+            port = serial_ports.open_port(
                 config.port,
                 config.baudrate,
                 bytesize=config.bytesize,

@@ -24,13 +24,13 @@ FORBIDDEN = {
     "uuid": {"uuid1", "uuid4"},
     "fcntl": {"flock", "lockf"},
     "sqlite3": {"connect"},
+    "serial": {"Serial"},
     "datetime": {"now", "utcnow", "today"},
     "asyncio": {"create_subprocess_exec", "create_subprocess_shell"},
 }  # fmt: skip
 WRITING = {"write_text", "write_bytes"}
 EXCEPTIONS = {
     "control/realtime.py": "rights of a process (scheduler, memory, latency), which virtual time does not have",
-    "recorder/recording_files.py": "SQLite writes by itself: a disk with faults below it needs a file system of SQLite",
     "session/heat_file.py": "one small file at the end of the program; no order with other writes counts",
 }
 """Files that call the outside directly, with the reason. The list may only become shorter."""

@@ -17,9 +17,14 @@ from tests.simulation.rows import OF_PROCESSES, rows
 
 FAULTS = run.faults()
 KEPT_LIVE = {
+    "T1": "READY at systemd, and the exit code of the command",
+    "T2": "a real queue that is full",
     "T3": "a real TCP reset and refused connections",
     "T11": "real segments",
+    "T14": "a real connection that is closed at once",
+    "T19": "the lock of a real port",
     "P1": "a forged reply on a real socket",
+    "P10": "bytes of a real terminal",
     "P14": "exit code and message of the command",
     "P18": "a second Modbus client",
     "S11": "a second Modbus client that writes the voltage",
@@ -28,9 +33,18 @@ KEPT_LIVE = {
     "V6": "one false reading through real processes",
     "V14": "a restart of the device process",
     "V17": "datagrams of a real socket",
+    "V19": "exit code and message of the command for a reference file",
+    "C8": "exit code and message of the command for a model",
     "C9": "SIGHUP of a real process",
     "R1": "SIGTERM of real processes",
     "R4": "SIGKILL of real processes",
+    "R7": "notifications to a real socket of systemd",
+    "R9": "a lock between real processes",
+    "R10": "files that another program has left",
+    "R21": "a real pipe that is full",
+    "R26": "the time to look at a real file of 3 GB",
+    "R29": "queues of real sockets",
+    "S14": "a thousand real connections",
     "R18": "the parent-death signal of the kernel",
 }
 """Faults that also run in `tests/simulation`, and what only their injection into real processes shows. The other

@@ -14,6 +14,7 @@ from firmware_sim.firmware.device import Device
 from firmware_sim.firmware.modbus import ModbusUnit
 from firmware_sim.physics.bench import Bench
 from firmware_sim.physics.kernels import advance
+from firmware_sim.physics.scenario import load_scenario, with_effects
 
 REST_V = 0.5  # largest output that counts as rest
 FIELDS = (
@@ -98,13 +99,21 @@ class SimDevice(Device):
         self.dt_ns, self.short, self.bursts = 0, 0, 0
         self.is_stranger, self.to_stranger = False, 0  # another device on a new connection, and commands to it
         self.requested_V = 0.0
+        self.range_V = (0.0, 140.0)
+        self.outside = 0  # commands outside of it
+        self.masters, self.sender, self.alternations = [], None, 0  # services in the order of their commands
+        self.shift = 0  # registers by which a changed map is shifted
         super().__init__(bench, Firmware(), "real", now_ns)
 
     def sample(self):
         sample = super().sample()
         return sample if self.reading_fault is None else self.reading_fault(sample)
 
+    def read(self, address, count):
+        return super().read(address + self.shift, count)
+
     def write(self, address, values):
+        address += self.shift
         if address == 100:
             self.commands += 1
             now_ns = self._now_ns()
@@ -113,6 +122,9 @@ class SimDevice(Device):
             self.command_ns = now_ns
             self.to_stranger += self.is_stranger
             self.requested_V = struct.unpack(">f", struct.pack(">2H", *values[:2]))[0]
+            low_V, high_V = self.range_V
+            self.outside += not low_V - 1e-4 <= self.requested_V <= high_V + 1e-4
+            self._note_master()
             if self.ignores_writes:
                 self.catch_up()
                 self._words[102] = values[2] if len(values) > 2 else self._words[102]
@@ -121,6 +133,13 @@ class SimDevice(Device):
         if address == 110 and not self.keeps_watchdog:
             return
         super().write(address, values)
+
+    def _note_master(self):
+        """Two services that command in turn are two masters; one that follows another is none."""
+        if self.masters and self.masters[-1] == self.sender:
+            return
+        self.alternations += self.sender in self.masters
+        self.masters.append(self.sender)
 
     def restart(self):
         """Power-on of the firmware: output and heartbeat at zero, watchdog off."""
@@ -142,9 +161,9 @@ class SimDevice(Device):
 class Amplifier:
     """Device, its Modbus unit and its judge."""
 
-    def __init__(self, machine, seed, *, slew_V_per_s, dt_s):
+    def __init__(self, machine, seed, *, slew_V_per_s, dt_s, effects=()):
         self._machine = machine
-        self.bench = JudgedBench("stack", seed=seed)
+        self.bench = JudgedBench(with_effects(load_scenario("stack"), effects), seed=seed)
         self.bench.judge_by(0.0, 140.0, slew_V_per_s, dt_s)
         self.device = SimDevice(self.bench, lambda: machine.now_ns)
         self.device.dt_ns = round(1e9 * dt_s)
@@ -172,6 +191,10 @@ class Amplifier:
             found.append(
                 ("burst", self._machine.time_s, f"{MOST_SHORT + 1} commands within {SHORT * MOST_SHORT:g} ticks")
             )
+        if device.outside:
+            found.append(("range", self._machine.time_s, f"{device.outside} commands outside {device.range_V} V"))
+        if device.alternations:
+            found.append(("masters", self._machine.time_s, "two services command the device in turn"))
         if device.to_stranger:
             found.append(("stranger", self._machine.time_s, f"{device.to_stranger} commands to another device"))
         for kind, at, value, text in (

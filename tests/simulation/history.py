@@ -24,9 +24,10 @@ from piezod.recorder.ring_recorder import RingRecorder
 from piezod.recorder.writer import run as run_recorder
 from tests.simulation import amplifier as judged
 from tests.simulation.amplifier import Amplifier
+from tests.simulation.disk import Disk
 from tests.simulation.installed import install, new_process_of_the_daemon
 from tests.simulation.machine import BOOTED_NS, SECOND, Machine, Process, Thread
-from tests.simulation.network import Network
+from tests.simulation.serial_line import BAUDRATE, make_network
 from tests.simulation.sockets import Kernel
 from tests.simulation.spawning import Spawning
 
@@ -44,9 +45,14 @@ LOOK_S = 0.02
 SHOWN_WITHIN_S = 0.1  # an accepted arm is answered some ticks before the log shows its state
 WATCHDOG_KNOWN_S = 2.0  # the guard reads it each second; then the ramp down
 SENT_EVERY_S = 0.01
+ARMING_TIMEOUT_S = 2.0
+ARMING_WITHIN_S = ARMING_TIMEOUT_S + 0.35 + 1.0  # with the rise to 140 V at 400 V/s, and checks before it
+RESTART_WITHIN_S = 0.3  # 60 ms in the fault list; slow machines among the seeds
+RESTORED_WITHIN_S = 3.0  # the service looks for its files each second
 FOREIGN_WITHIN_S = 0.1  # the guard compares the set point each 50 ms
 ENDS_WITHIN_S = 15.0  # from SIGTERM to the end of every process of the service
-CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "stream", "start", "signal_service", "kill_service")
+CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "stream", "start", "signal_service", "kill_service",
+        "disk_fault", "kill_recorder")  # fmt: skip
 CALM_AFTER_S = 1.5
 STEADY_FROM_V = 10.0
 STEADY_SHARE = 0.7  # of the time of the ramp: the reference may fall by 15 V until it begins
@@ -73,11 +79,13 @@ class History:
         machine.least_latency_ns, machine.spread_ns = plan.latency_ns
         self.kernel = Kernel(machine)
         self.spawning = Spawning(machine, self.kernel)
-        self.spawning.modules["piezod.recorder.writer"] = record
+        self.disk = self.kernel.disk = Disk(machine)
+        self.spawning.modules["piezod.recorder.writer"] = self.record
         install(machine, self.kernel, self.spawning, folder)
-        self.amplifier = Amplifier(machine, plan.seed % 97, slew_V_per_s=SLEW_V_PER_S, dt_s=1 / plan.rate_Hz)
-        self.network = Network(machine, self.amplifier)
-        self.kernel.hosts[PORT] = self.network
+        self.amplifier = Amplifier(
+            machine, plan.seed % 97, slew_V_per_s=SLEW_V_PER_S, dt_s=1 / plan.rate_Hz, effects=plan.effects
+        )
+        self.network = make_network(plan, machine, self.kernel, self.amplifier, folder, PORT)
         self.path = folder / "bench.yaml"
         self.text = self.write_bench()
         self.service = None
@@ -88,6 +96,7 @@ class History:
         self.arms = 0  # commands on their way
         self.arms_at_start = False  # as with `piezod run --arm`
         self.last_arm_ns = self.arm_answered_ns = 0
+        self.resets, self.pinned = 0, None  # the control process whose fault a refused reset has left
         self.happened = 0  # number of events so far
         self.trip_in_file_N, self.trip_N = 360.0, 360.0
         self.excused = set()
@@ -97,7 +106,7 @@ class History:
         self.disturbed_until_ns = 0
         self.calm_before = True
         self.steady = None  # time [ns], output [V] and reason of a ramp down whose rate is judged
-        self.watchdog_known_ns = 0
+        self.watchdog_known_ns = self.arming_since_ns = 0
 
     # the bench file -----------------------------------------------------------------------------------------------
 
@@ -120,22 +129,37 @@ class History:
         }
         if plan.recorder:
             content["recorder"] = {"folder": str(folder / "recordings"), "sync_every_s": 0.5}
-        content["link"] |= {"timeout_s": 0.8 / plan.rate_Hz, "heartbeat_within_s": 0.005, "port": PORT}
+        if plan.wire == "rtu":
+            content["link"] = {"kind": "modbus_rtu", "baudrate": BAUDRATE, "registers": content["link"]["registers"]}
+        port = PORT if plan.wire == "tcp" else str(folder / "serial-by-id")
+        content["link"] |= {"timeout_s": 0.8 / plan.rate_Hz, "heartbeat_within_s": 0.005, "port": port}
         content["limits"] |= {
             "comm_loss_ms": round(1e3 * COMM_LOSS_S), "device_watchdog_ms": round(1e3 * WATCHDOG_S),
             "stale_after_ms": 30,
             "slew_V_per_s": SLEW_V_PER_S, "readback_trip_ms": 50, "force_rate_trip_N_per_s": 5000.0,
-            "arming_timeout_s": 2.0, "ramp_down_V_per_s": RAMP_DOWN_V_PER_S,
+            "arming_timeout_s": ARMING_TIMEOUT_S, "ramp_down_V_per_s": RAMP_DOWN_V_PER_S,
         }  # fmt: skip
         content["arming"] |= {"reset_cycle": False, "voltage_V_per_s": 400.0}
         content["arming"]["sign_check"] = {"step_V": 2.0, "rise_N": 1.0, "settle_s": 0.05}
         for section, key, value in plan.changes:
             content[section][key] = value
-        text = yaml.safe_dump(content)
+        self.content = content
+        for name, file_text in plan.files.items():
+            (folder / name).write_text(file_text, encoding="utf-8")
+            (folder / name).chmod(0o600)
+        text = self.with_sections(plan.sections)
         self.path.write_text(text, encoding="utf-8")
         cold = {"power_W": 0.0, "time_s": 1e-9 * (self.machine.now_ns + self.machine.wall_offset_ns)}
         (folder / "ring.heat").write_text(json.dumps(cold), encoding="ascii")
         return text
+
+    def with_sections(self, sections):
+        """Text of the bench file with other sections; a section with a kind is replaced, another one changed."""
+        content = dict(self.content)
+        for name, value in sections.items():
+            whole = not isinstance(value, dict) or "kind" in value
+            content[name] = value if whole else content.get(name, {}) | value
+        return yaml.safe_dump(content).replace("FOLDER", str(self.folder))
 
     def write_trip(self, trip_N):
         content = yaml.safe_load(self.text)
@@ -179,6 +203,11 @@ class History:
         left = [process.name for process in machine.processes if process.alive and process is not self.operator]
         if left:
             self.violate("end", f"{', '.join(left)} still run {ENDS_WITHIN_S:g} s after the end")
+        lost, wrong = self.disk.losses(self.folder / "recordings")
+        if lost or wrong:
+            self.violate(
+                "recording", f"acknowledged rows lost, by session: {lost}; rows twice or out of order: {wrong}"
+            )
         self.judge()
 
     @property
@@ -265,6 +294,7 @@ class History:
         ):
             judge[judged.MAY_DRIVE] = 0.0
             self.excused -= {"foreign"}
+        self._judge_state()
         if self.rest_due is not None:
             due_ns, reason = self.rest_due
             if "writes" in self.excused or "foreign" in self.excused:
@@ -276,6 +306,17 @@ class History:
             elif machine.now_ns > due_ns:
                 self.violate("rest", f"output {amplifier.bench.output_V:.2f} V {REST_WITHIN_S:.2f} s after {reason}")
                 self.rest_due = None
+
+    def _judge_state(self):
+        """ARMING ends by itself, without a reference or with one that is not reached; a fault stays without a reset."""
+        if self.pinned is not None and self.pinned is self.control and self.state() is State.DISARMED:
+            self.violate("refused", "a reset that was refused has acted")
+        now_ns = self.machine.now_ns
+        held = self.control is None or self.control.stopped_until_ns or now_ns <= self.machine.stalled_until_ns
+        if self.state() is not State.ARMING or held:
+            self.arming_since_ns = now_ns
+        elif now_ns - self.arming_since_ns > ARMING_WITHIN_S * SECOND:
+            self.violate("arming", f"ARMING for more than {ARMING_WITHIN_S:g} s")
 
     def expect_rest(self, reason, more_s=0.0):
         if self.rest_due is None:
@@ -327,23 +368,40 @@ class History:
                 good = True
             except PiezodError as error:
                 text, good = f"{type(error).__name__}: {error}", False
-            if command == "arm":
-                self.arms -= 1
-                self.arm_answered_ns = machine.now_ns
+            self.arm_ends(command)
             machine.note("answer", command, machine.now_ns - begun_ns, text)
             self.answers.append((machine.time_s, command, text))
+            if command == "arm" and not good and not text.startswith("UnreachableError"):
+                self._refused_arm(begun_ns)
             if sends is not None:
                 sends(good, text)
 
         Thread(self.operator, talk, command)
 
     def arm(self):
+        self.arm_begins()
+        self.ask("arm")
+
+    def arm_ends(self, command):
+        """The answer to a command has come; that to an arm ends its time on the way."""
+        if command == "arm":
+            self.arms -= 1
+            self.arm_answered_ns = self.machine.now_ns
+
+    def _refused_arm(self, sent_ns):
+        """What was refused never acts: from now on only a later arm drives."""
+        self.amplifier.catch_up()
+        at_rest = self.amplifier.judge[judged.REST_STEP] >= 0
+        if self.last_arm_ns <= sent_ns and at_rest and not self.arms and self.state() not in DRIVEN:
+            self.amplifier.judge[judged.MAY_DRIVE] = 0.0
+
+    def arm_begins(self):
+        """An arm is on its way: from now on the output may drive."""
         self.arms += 1
         self.last_arm_ns = self.machine.now_ns
         self.rest_due = None
         self.amplifier.catch_up()
         self.amplifier.judge[judged.MAY_DRIVE] = 1.0
-        self.ask("arm")
 
     def disarm(self):
         self._end("disarm")
@@ -394,7 +452,15 @@ class History:
         Thread(self.operator, talk, "urge")
 
     def reset(self):
-        self.ask("reset")
+        """A reset that is refused leaves the fault as it is."""
+        self.resets += 1
+        number, self.pinned = self.resets, None
+
+        def refused(good, text):
+            if not good and self.resets == number and not text.startswith("Unreach") and self.state() is State.FAULT:
+                self.pinned = self.control
+
+        self.ask("reset", refused)
 
     def status(self):
         self.ask("status")
@@ -465,6 +531,22 @@ class History:
                 if self.alive:
                     self.service.signal(getattr(signal, name))
 
+    def second_service(self):
+        """Somebody starts the service once more for the same bench."""
+        if not self.alive or any(p.alive and p.name == "second daemon" for p in self.machine.processes):
+            return
+
+        def run():
+            self.machine.sleep(self.spawning.start_s())
+            try:
+                code = run_foreground(self.path, arm=False).exit_code
+            except PiezodError as error:
+                self.machine.note("second service", "ends with", error)
+                code = error.exit_code
+            sys.exit(code)
+
+        Process(self.machine, "second daemon").start(run)
+
     def kill_service(self):
         if self.alive:
             self.expect_rest("SIGKILL of the service")
@@ -527,6 +609,7 @@ class History:
     def restart_device(self):
         if self.control is None:
             return  # only the watchdog of the device is left, and it would be lost too
+        self._expect_state((State.RAMP_DOWN, State.FAULT), RESTART_WITHIN_S, "the device restarted")
         self.network.reset()
         self.amplifier.device.reading_fault = None
         self.amplifier.device.restart()
@@ -536,6 +619,7 @@ class History:
             self.amplifier.catch_up()
             self.amplifier.device.write(110, [milliseconds])
             self.watchdog_known_ns = self.machine.now_ns + round(WATCHDOG_KNOWN_S * SECOND)
+            self._expect_state((State.RAMP_DOWN, State.FAULT), WATCHDOG_KNOWN_S, "the watchdog was changed")
 
     def _expect_state(self, states, within_s, reason):
         """If the bench runs and nothing else is wrong, it is in one of `states` later, unless something happens."""
@@ -599,6 +683,7 @@ class History:
         amplifier, network = self.amplifier, self.network
         network.rules.clear()
         network.cut = network.refuses = False
+        self.disk.heal()
         amplifier.refusal = (0, 0)
         amplifier.device._words[0], amplifier.device.is_stranger = IDENTITY, False
         amplifier.device.reading_fault = None
@@ -610,9 +695,49 @@ class History:
             amplifier.bench.set_fault(0)
         self.machine.after(SECOND, lambda: self.excused.difference_update({"reading", "writes"}))
 
+    def disk_fault(self, fault, every, for_s):
+        if self.sending_N is not None or self.plan.reference == "sine":
+            self._expect_state((State.RUNNING,), 0.5, "a fault of the disk")
+        self.disk.strike(fault, every)
+        self.machine.after(round(for_s * SECOND), self.disk.heal)
+
+    def kill_recorder(self):
+        for process in self.machine.processes:
+            if process.name == "writer" and process.alive:
+                process.signal(signal.SIGKILL)
+
+    def record(self, plan, reader, writer):
+        """The recorder process, as `python -m piezod.recorder.writer` runs it."""
+        settings, send = Plan(**plan), report_sender(writer)
+
+        def acknowledge(report):
+            self.disk.see(report)
+            send(report)
+
+        run_recorder(RingRecorder(settings), MessageReader(reader), acknowledge, settings.sync_every_s)
+
     def remove_files(self, name):
+        if name == "locks":
+            for path in (self.folder / "locks").rglob("*"):
+                if path.is_file():
+                    path.unlink()
+            name = "ring.lock"
+        service = self.service if self._is_steady() else None
         with contextlib.suppress(OSError):
             (self.folder / name).unlink()
+        number = self.happened
+
+        def look():
+            undisturbed = service is not None and service is self.service and self._is_steady()
+            if undisturbed and self.happened == number and not (self.folder / name).exists():
+                self.violate("files", f"{name} is missing {RESTORED_WITHIN_S:g} s after its removal")
+
+        self.machine.after(round(RESTORED_WITHIN_S * SECOND), look)
+
+    def _is_steady(self):
+        """Whether service and control process run, and nothing holds them."""
+        held = self.machine.stalled_until_ns > self.machine.now_ns
+        return self.alive and self.control is not None and not self.service.stopped_until_ns and not held
 
     # the reference ------------------------------------------------------------------------------------------------
 
@@ -665,9 +790,3 @@ FALSE = {
     "readback": lambda sample, value, _: replace(sample, voltage_readback_V=value),
     "nan": lambda sample, _value, _first: replace(sample, force_N=math.nan),
 }
-
-
-def record(plan, reader, writer):
-    """The recorder process, as `python -m piezod.recorder.writer` runs it."""
-    settings = Plan(**plan)
-    run_recorder(RingRecorder(settings), MessageReader(reader), report_sender(writer), settings.sync_every_s)

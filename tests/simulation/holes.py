@@ -10,6 +10,7 @@ import sys
 from dataclasses import dataclass
 from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder, SourceFileLoader
+from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,19 @@ class Hole:
     now: str
     then: str
     source: str  # where the hole is listed or was mended
+
+    def code(self, path):
+        """Code of the module with the hole.
+
+        Raises
+        ------
+        ImportError
+            The place of the hole is not there once.
+        """
+        text = Path(path).read_text(encoding="utf-8")
+        if text.count(self.now) != 1:
+            raise ImportError(f"{self.module}: the place of the hole is there {text.count(self.now)} times")
+        return compile(text.replace(self.now, self.then), path, "exec")
 
 
 HOLES = {
@@ -137,11 +151,7 @@ class Loader(SourceFileLoader):
     hole = None
 
     def get_code(self, fullname):
-        path = self.get_filename(fullname)
-        text = self.get_data(path).decode("utf-8")
-        if text.count(self.hole.now) != 1:
-            raise ImportError(f"{fullname}: the place of the hole is there {text.count(self.hole.now)} times")
-        return compile(text.replace(self.hole.now, self.hole.then), path, "exec")
+        return self.hole.code(self.get_filename(fullname))
 
 
 class Finder(MetaPathFinder):

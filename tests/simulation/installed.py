@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 
 from piezod.daemon import journal
-from piezod.runtime import chance, clock, descriptors, processes, signals, sockets, threads
+from piezod.runtime import chance, clock, databases, descriptors, processes, serial_ports, signals, sockets, threads
 from piezod.session import control_process, lock
 from tests.simulation.event_loop import SimPolicy
 from tests.simulation.spawning import SimCondition, SimThread
@@ -20,8 +20,10 @@ def install(machine, kernel, spawning, folder):
     clock.sleep = machine.sleep
     sockets.socket, sockets.getaddrinfo = kernel.socket, kernel.getaddrinfo
     sockets.poll, sockets.select, sockets.DefaultSelector = kernel.poll, kernel.select, kernel.selector
-    for name in ("open_file", "close", "read", "write", "pipe", "set_blocking"):
+    for name in ("open_file", "close", "read", "readv", "write", "pipe", "set_blocking"):
         setattr(descriptors, name, getattr(kernel, name))
+    descriptors.fsync, databases.connect = kernel.disk.fsync, kernel.disk.connect
+    serial_ports.open_port = kernel.open_serial_port
     for name in ("number", "pid_descriptor", "send_signal", "passed_descriptor", "end_with_parent", "start_module"):
         setattr(processes, name, getattr(spawning, name))
     processes.spawn_context = spawning.context

@@ -75,6 +75,7 @@ class Process:
         self.owned, self.real = [], set()  # simulated objects, and descriptors of real files
         self.watchers = []  # called at the end
         self.log = []
+        self.log_fault = ""  # of the reader of its log: it stands, or is gone
         machine.processes.append(self)
 
     def start(self, target):

@@ -89,6 +89,7 @@ class TcpConnection:
         self.machine.digest.update(b"%d %s " % (self.machine.now_ns, way.encode()) + data)
         if way == "request":
             self.asked_ns = self.machine.now_ns
+            self.network.name_sender(self.stream)
             self.protocol.data_received(data)
         else:
             self.stream.arrive(data)
@@ -104,6 +105,8 @@ class TcpConnection:
 class Network:
     """The way to the device; `rules` hold what happens to the next frames."""
 
+    framing = "tcp"
+
     def __init__(self, machine, amplifier):
         self.machine, self.amplifier = machine, amplifier
         self.unit = RefusingUnit(amplifier)
@@ -112,7 +115,8 @@ class Network:
         self.cut = self.refuses = False
         self.random = machine.random
         self.frames = self.connected = self.forgeries = self.idle_ns = 0
-        self.before = b""  # the good reply before the last one
+        self.replies = b"", b""  # the last two good ones
+        self.held = {"request": b"", "reply": b""}  # frames that wait for the next one of their direction
 
     def connect(self, socket, stream):
         del socket
@@ -130,6 +134,12 @@ class Network:
 
         self.machine.after(2 * LEAST_DELAY_NS, decide)
 
+    def name_sender(self, stream):
+        """Tell the device which service sends; a control process belongs to its parent."""
+        if stream.owners:
+            process = stream.owners[0]
+            self.amplifier.device.sender = (process.parent or process).pid
+
     def drop(self, connection):
         if connection in self.connections:
             self.connections.remove(connection)
@@ -141,6 +151,8 @@ class Network:
     def fate(self, way, data, connection):
         """Delays [ns] and parts in which `data` arrives."""
         self.frames += 1
+        if way == "reply":
+            self.replies = self.replies[1], data
         delay_ns = LEAST_DELAY_NS + int(self.random.random() ** 3 * SPREAD_NS)
         for rule in self.rules:
             fault, direction, count, size = rule
@@ -150,10 +162,10 @@ class Network:
             if not rule[2]:
                 self.rules.remove(rule)
             self.machine.note("wire", fault, way)
-            return self.struck(fault, data, delay_ns, size, connection)
+            return self.struck(fault, way, data, delay_ns, size, connection)
         return [(delay_ns, data)]
 
-    def struck(self, fault, data, delay_ns, size_ms, connection):
+    def struck(self, fault, way, data, delay_ns, size_ms, connection):
         """Delays and parts of bytes that a fault has met.
 
         `size_ms` is a delay [ms], for `throttle` the time for each byte [ns], for `forge` the kind of the false reply.
@@ -164,6 +176,10 @@ class Network:
         later_ns = 0 if fault in ("throttle", "forge") else int(size_ms * MS)
         if fault == "reset":
             self.machine.after(0, connection.reset)
+        elif fault == "echo":
+            connection.carry("reply", data)
+        elif fault == "lag":
+            self.held[way], data = data, self.held[way]
         return {
             "drop": [],
             "reset": [],
@@ -173,11 +189,14 @@ class Network:
             "corrupt": [(delay_ns, garbled)],
             "garbage": [(delay_ns, rng.randbytes(len(data)))],
             "noise": [(delay_ns, rng.randbytes(7) + data)],
+            "noise_around": [(delay_ns, rng.randbytes(3) + data + rng.randbytes(2))],
+            "echo": [(delay_ns, data)],
+            "lag": [(delay_ns, data)] if data else [],
             "throttle": [(delay_ns + int(size_ms * len(data)) if fault == "throttle" else 0, data)],
             "forge": [(delay_ns, self._forged(size_ms, data) if fault == "forge" else data)],
         }[fault]
 
     def _forged(self, kind, data):
-        before, self.before, number = self.before, data, self.forgeries
+        before, number = self.replies[0], self.forgeries
         self.forgeries += 1
-        return forged(kind, data, before or data, number, framing="tcp")
+        return forged(kind, data, before or data, number, framing=self.framing)

@@ -31,12 +31,18 @@ class Plan:
     seconds: float
     rate_Hz: int = 200
     reference: str = "sine"
+    wire: str = "tcp"
     recorder: bool = False
     frequency_Hz: float = 1.0
     latency_ns: tuple = (20_000, 30_000)
     events: tuple = field(default=())
     changes: tuple = field(default=())  # of the bench file, each (section, key, value)
-    at_start: dict = field(default_factory=dict)  # of a start with `--arm`: an edit of the bench file, steps before it
+    sections: dict = field(default_factory=dict)  # of the bench file; "FOLDER" in a value is the folder of the history
+    files: dict = field(default_factory=dict)  # further files of the folder, with their texts
+    effects: tuple = ()  # of the emulated bench
+    at_start: dict = field(
+        default_factory=dict
+    )  # an edit of the bench file, steps before the start, with `--arm` or not
 
     def without(self, numbers):
         """The same without the events of some numbers."""
@@ -86,28 +92,94 @@ KINDS = {
     "datagram": (1, lambda rng: (rng.choice((0.0, -50.0, 1e300, float("nan"), 250.0)),
                                  rng.choice((-1, 0, 1, 2**64 - 1)))),
     "junk": (1, lambda rng: (rng.choice((0, 1, 24, 40, 5000)), rng.choice((1, 50)))),
-    "remove_files": (1, lambda rng: (rng.choice(("ring", "ring.sock", "ring.sock.stop", "ring.lock")),)),
+    "disk_fault": (1, lambda rng: (rng.choice(("full", "io_error", "slow", "read_only")), rng.choice((1, 1, 7)),
+                                   rng.choice((0.3, 2.0, 6.0)))),
+    "kill_recorder": (1, lambda rng: ()),
+    "remove_files": (1, lambda rng: (rng.choice(("ring", "ring.sock", "ring.sock.stop", "ring.lock", "locks")),)),
+    "second_service": (1, lambda rng: ()),
 }  # fmt: skip
 
 
 ORDERLY = ("disarm", "stop", "urge", "reload", "signal_service", "kill_service", "stream", "stream_ends")
 
 
-def _prologue(rng, time_s, events):
-    """Events while nothing else is wrong, in two seeds of three; the time after them [s]."""
-    kind = rng.choice(("none", "none", "trip", "replies", "replies", "stopped"))
-    if kind == "trip":  # a limit below the force that is driven
-        time_s += rng.uniform(0.7, 1.5)
-        events.append(Event(time_s, "reload", (100.0, False)))
-        return time_s + 2.0
-    if kind == "stopped":  # a stop that overtakes the arm
-        events += [Event(time_s + rng.uniform(0.0, 0.004), "urge", ("stop",)), Event(time_s + 2.5, "arm")]
-        return time_s + 2.6
-    if kind == "replies":  # single replies are lost
-        for _ in range(4):
-            time_s = max(time_s, 2.5) + rng.uniform(1.05, 1.3)
-            events.append(Event(time_s, "lost_reply"))
+def _nothing(_rng, time_s, _events):
     return time_s
+
+
+def _trip(rng, time_s, events):
+    """A limit below the force that is driven."""
+    time_s += rng.uniform(0.7, 1.5)
+    events.append(Event(time_s, "reload", (100.0, False)))
+    return time_s + 2.0
+
+
+def _replies(rng, time_s, events):
+    """Single replies are lost."""
+    for _ in range(4):
+        time_s = max(time_s, 2.5) + rng.uniform(1.05, 1.3)
+        events.append(Event(time_s, "lost_reply"))
+    return time_s
+
+
+def _stopped(rng, time_s, events):
+    """A stop that overtakes the arm."""
+    events += [Event(time_s + rng.uniform(0.0, 0.004), "urge", ("stop",)), Event(time_s + 2.5, "arm")]
+    return time_s + 2.6
+
+
+def _reloads(rng, time_s, events):
+    """A second reload while the control process starts with the first; then the force is above its limit."""
+    first_s = time_s - 0.1
+    events.append(Event(first_s, "reload", (rng.choice((250.0, 350.0)), False)))
+    events.append(Event(first_s + rng.uniform(0.02, 1.2), "reload", (100.0, False)))
+    events.append(Event(time_s + 3.0, "arm"))
+    return time_s + 5.0
+
+
+def _removed(rng, time_s, events):
+    """A file of the service is removed; then somebody may start it once more."""
+    time_s += rng.uniform(0.7, 1.5)
+    name = rng.choice(("ring.sock.stop", "ring.sock", "ring.lock", "locks"))
+    events.append(Event(time_s, "remove_files", (name,)))
+    if rng.random() < 0.5:
+        events.append(Event(time_s + rng.uniform(0.0, 2.5), "second_service"))
+    return time_s + 3.5
+
+
+def _watchdog(rng, time_s, events):
+    """Another client changes the watchdog of the device."""
+    events.append(Event(time_s + rng.uniform(0.7, 1.5), "watchdog", (rng.choice((0, 5000)),)))
+    return time_s + 4.0
+
+
+def _late(rng, time_s, events):
+    """A command waits in the pipe of a control process that stands."""
+    for_s = rng.choice((0.5, 3.0, 6.0, 10.5, 12.0))
+    if rng.random() < 0.5:
+        events += [Event(time_s + 1.0, "trip_amplifier"), Event(time_s + 3.0, "heal")]
+        time_s += 4.5
+        events.append(Event(time_s, "reset"))
+    events += [Event(time_s - 0.05, "pause_control", (for_s,)), Event(time_s + for_s + 1.5, "status")]
+    return time_s + for_s + 2.0
+
+
+def _alone(rng, time_s, events):
+    """One fault of the device."""
+    name = rng.choice(("restart_device", "exchange_device", "trip_amplifier", "other_master", "ignored_writes"))
+    events.append(Event(time_s + rng.uniform(0.7, 2.5), name, KINDS[name][1](rng)))
+    return time_s + 4.0
+
+
+def _unsent(rng, time_s, events):
+    """The sender of a stream ends before or after the arm, and nothing else happens."""
+    events.append(Event(time_s + rng.uniform(-0.3, 1.5), "stream_ends"))
+    return time_s + 5.5
+
+
+PROLOGUES = (_nothing, _nothing, _trip, _replies, _replies, _stopped, _reloads, _removed, _watchdog, _late, _alone,
+             _unsent)  # fmt: skip
+"""Begins of a history in which one thing only goes wrong."""
 
 
 def draw(seed, seconds):
@@ -123,7 +195,7 @@ def draw(seed, seconds):
     stream = rng.random() < 0.4
     if stream:
         events.insert(0, Event(1.8, "stream", (rng.choice((60.0, 120.0, 200.0)),)))
-    time_s = _prologue(rng, time_s, events)
+    time_s = rng.choice(PROLOGUES)(rng, time_s, events)
     while possible:
         time_s += rng.expovariate(rate_per_s)
         if time_s > seconds - SETTLED_S:
@@ -149,5 +221,6 @@ def draw(seed, seconds):
         recorder=rng.random() < 0.3,
         frequency_Hz=rng.choice((0.5, 1.0, 4.0)),
         latency_ns=(20_000, 30_000) if not slow else (60_000, 1_500_000),
+        wire="rtu" if rng.random() < 0.25 else "tcp",
         events=tuple(event for event in events if event.time_s < seconds - 0.5),
     )  # fmt: skip

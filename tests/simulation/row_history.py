@@ -2,11 +2,16 @@
 
 import contextlib
 import json
+import os
 import signal
+import socket as real_socket
+from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from firmware_sim.config import Tcp
 from piezod.control import RingReader, State
 from piezod.daemon.client import Client
 from piezod.errors import PiezodError
@@ -17,10 +22,12 @@ from tests.faults.running_faults import _longest_gap, _most_in, _ticks_to_comman
 from tests.simulation import amplifier as judged
 from tests.simulation.history import SECOND, History
 from tests.simulation.machine import BOOTED_NS, Thread
+from tests.simulation.network import TcpConnection
+from tests.simulation.row_scripts import SCRIPTS, STREAMED_N
+from tests.simulation.sockets import Queue, Stream
 
 SAFE = (State.RAMP_DOWN, State.FAULT)
 SAFE_WITHIN_S = 0.201  # from a kill to the ramp of the device
-STREAMED_N = 100.0
 SLOW = 0.4  # of a tick: an exchange that lasts longer is slow
 WRITES_EVERY_S = 1e-4  # of a second client that writes without a pause
 LIES = {
@@ -37,6 +44,25 @@ LIES = {
 }
 
 
+class Notified(Queue):
+    """The socket of systemd: the messages to it."""
+
+    def __init__(self, history):
+        super().__init__(history.kernel, None)
+        path = history.folder / "notify"
+        path.touch()
+        status = os.lstat(path)
+        history.kernel.paths[status.st_dev, status.st_ino] = self
+        os.environ["NOTIFY_SOCKET"] = str(path)
+        self.text = ""
+
+    def arrive(self, data):
+        self.text += data.decode() + "\n"
+
+    def count(self, word):
+        return self.text.count(word)
+
+
 class RowHistory(History):
     """A history with the steps of a row."""
 
@@ -49,28 +75,80 @@ class RowHistory(History):
         self.clock_jumped_s = 0.0
         self.resumed_commands = self.taken_over_ns = None
         self.from_V = self.killed_ns = 0
-
+        self.client_code = None  # exit code of the client or service whose code the row names
+        self.counted = Counter()
+        self.notified = Notified(self)
+        self.driven_path = folder / "driven.yaml"
+        self.driven_path.write_text(self.text, encoding="utf-8")
         if plan.at_start:
             old, new = plan.at_start["edit"]
             assert old is None or old in self.text
             self.path.write_text(self.text if old is None else self.text.replace(old, new), encoding="utf-8")
-            self.arms_at_start = True
+            self.arms_at_start = plan.at_start["arms"]
             self.steps(plan.at_start["steps"])
 
-    def steps(self, text):
+    def write_edited(self, old, new):
+        """Write the bench file with one text replaced."""
+        assert old in self.text, old
+        self.path.write_text(self.text.replace(old, new), encoding="utf-8")
+
+    def write_section(self, name, value):
+        self.path.write_text(self.with_sections(self.plan.sections | {name: value}), encoding="utf-8")
+
+    def script(self, name, arguments):
+        """Run a function of `row_scripts.py`."""
+        self.excused.add("row")
+        arguments = json.loads(arguments)
+        Thread(self.operator, lambda: SCRIPTS[name](self, **arguments), name)
+
+    def mark_fault(self):
+        """The fault begins now: times and counts begin."""
         self.fault_ns = self.machine.now_ns
         self.excused.add("row")
         self.amplifier.catch_up()
         self.amplifier.judge[judged.HIGHEST] = 0.0
         self.commands_before, self.connected_before = self.amplifier.device.commands, self.network.connected
+
+    def do_left_behind(self, _):
+        """Lock, socket and ring log of an earlier daemon."""
+        ring = self.folder / "ring"
+        ring.write_bytes(b"PIEZRNG0 of another time" * 10)
+        Path(f"{ring}.lock").write_text("1\n", encoding="ascii")
+        with contextlib.closing(real_socket.socket(real_socket.AF_UNIX)) as real:
+            real.bind(f"{ring}.sock")
+
+    def do_shut(self, door):
+        """A closed port, or one that never answers."""
+        self.network.refuses = door == "closed"
+        self.network.cut = door != "closed"
+
+    def do_other_client(self, _):
+        """The device serves one client, and another one is connected."""
+        self.amplifier.settings = Tcp(port=self.amplifier.settings.port, one_client=True)
+        TcpConnection(self.network, Stream(self.kernel, self.operator))
+
+    def do_hold_port(self, _):
+        """Another process holds the port: here the process of the simulation, which the kernel names."""
+        self.network.held_by_other = True
+        self._held = self.network.path.open("rb")
+        self.counted["names_the_holder"] = 0.0
+
+    def steps(self, text):
+        self.mark_fault()
         for step in json.loads(text):
             ((name, arguments),) = step.items()
             getattr(self, f"do_{name}")(arguments)
 
     def do_wire(self, what):
         self.network.reset()
-        self.network.refuses = self.network.refuses or what == "refuse"
+        self.network.refuses = what in ("refuse", "unplug") or (self.network.refuses and what != "plug")
         self._await_take_over()
+
+    def do_replug(self, arguments):
+        self.refuse_connections(arguments["after_s"])
+
+    def do_measure_cpu(self, _):
+        """Virtual time has no load; `cpu_percent` is a figure of real processes."""
 
     def do_flap(self, arguments):
         for number in range(arguments["times"]):
@@ -79,7 +157,7 @@ class RowHistory(History):
 
     def do_rules(self, rules):
         for rule in rules:
-            fault = {"random": "garbage"}.get(rule["do"], rule["do"])
+            fault = {"random": "garbage", "noise": "noise_around"}.get(rule["do"], rule["do"])
             count = rule.get("count", 1) or 1 << 30
             size = rule.get("kind") or (1e9 / rule["by"] if fault == "throttle" else 1e3 * rule.get("by", 0.0))
             self.wire(fault, rule.get("way", "reply"), count, size)
@@ -187,6 +265,7 @@ class RowHistory(History):
             self.network.reset()
         if not arguments.get("keeps_watchdog", True):
             self.amplifier.device.keeps_watchdog = False
+        self.amplifier.device.shift = arguments.get("shift", 0)
         for address, word in arguments.get("words", {}).items():
             self.amplifier.device._words[int(address)] = word
 
@@ -245,7 +324,8 @@ class RowHistory(History):
             rows = RingReader(self.folder / "ring").read()
         except PiezodError:
             figures = {"commands": self.amplifier.device.commands, "output_V": abs(self.amplifier.bench.output_V)}
-            self.observed = {"state": "none", "answers": self._answers(), "after_ms": 0.0, "figures": figures}
+            state = "DISARMED" if "STATUS=DISARMED" in self.notified.text else "none"
+            self.observed = {"state": state, "answers": self._answers(), "after_ms": 0.0, "figures": figures}
             return
         after = rows[rows["time_ns"] >= self.fault_ns]
         safe = np.flatnonzero(np.isin(after["state"], SAFE))
@@ -290,10 +370,11 @@ class RowHistory(History):
             self.observed["figures"]["silence_ms"] = 1e-6 * (safe_ns - int(before[-1])) if before.size else np.inf
 
     def _answers(self):
-        return "\n".join(text for _, _, text in self.answers)
+        return "\n".join([text for _, _, text in self.answers] + [self.notified.text])
 
     def finish(self):
-        self.observe()
+        if not self.observed:
+            self.observe()
         super().finish()
         self._observe_end()
 
@@ -301,7 +382,8 @@ class RowHistory(History):
         """What the end of the service adds: its log, its exit code, and when the output was at rest."""
         judge = self.amplifier.judge
         self.observed["log"] = "\n".join(line for process in self.machine.processes for line in process.log)
-        self.observed["exit_code"] = self.service.code
+        self.observed["exit_code"] = self.service.code if self.client_code is None else self.client_code
+        self.observed["answers"] = self._answers()
         rest_s = self.amplifier.time_of(judge[judged.REST_STEP])
         figures = self.observed["figures"]
         figures["output_V"] = figures["output_V"] if self.killed_ns == 0 else abs(self.amplifier.bench.output_V)
@@ -309,4 +391,15 @@ class RowHistory(History):
             figures["rest_ms"] = 1e3 * rest_s - 1e-6 * (self.fault_ns - BOOTED_NS)
             if self.killed_ns:
                 figures["ramp_V_per_s"] = self.from_V / (rest_s - 1e-9 * (self.killed_ns - BOOTED_NS))
+        figures["exit_code_of_the_service"] = 0.0 if self.arms_at_start else float(self.service.code)
+        figures["timeouts"] = self.observed["log"].count("limits.arming_timeout_s")
+        figures["lines"] = 1 if self.plan.recorder else self.observed["log"].count("RAILED")
+        lost, figures["rows_wrong"] = self.disk.losses(self.folder / "recordings")
+        figures["rows_lost"], figures["acknowledged"] = sum(lost.values()), sum(self.disk.acknowledged.values())
+        if "recorder goes on" in self.observed["log"]:
+            self.observed["answers"] += "\nrecording again"  # the words of the study of the recorder
+        figures["tracebacks"] = len(self.machine.failures)
+        figures |= self.counted
+        if "names_the_holder" in figures:
+            figures["names_the_holder"] += f"process {os.getpid()} " in self.observed["answers"]
         figures["processes_left"] = sum(one.alive for one in self.machine.processes if one is not self.operator)

@@ -195,7 +195,8 @@ class Kernel:
         self.last_descriptor = FIRST
         self.objects = {}
         self.paths, self.ports, self.hosts = {}, {}, {}
-        self.on_write = None  # called with path and bytes before a write to a real file
+        self.disk = None
+        self.line = None  # the serial line, where there is one
         machine.close_real = self._close_real
 
     def forget(self, listener):
@@ -227,6 +228,8 @@ class Kernel:
     # descriptors --------------------------------------------------------------------------------------------------
 
     def open_file(self, path, flags, mode=0o777):
+        if str(path).endswith(".sqlite"):
+            self.disk.create(flags)
         descriptor = os.open(path, flags, mode)
         self.machine.process.real.add(descriptor)
         return descriptor
@@ -254,8 +257,22 @@ class Kernel:
         self.wait(found.readable, [found], None)
         return found.receive(size)
 
+    def open_serial_port(self, port, *arguments, **settings):
+        return self.line.open_port(port, *arguments, **settings)
+
+    def readv(self, descriptor, buffers):
+        """Read into one buffer, without waiting."""
+        data = self.objects[descriptor].receive(len(buffers[0]))
+        buffers[0][: len(data)] = data
+        return len(data)
+
     def write(self, descriptor, data):
         if descriptor in (1, 2):
+            process = self.machine.process
+            while process.log_fault == "stands":  # the pipe is full, and nobody reads it
+                self.machine.park(self.machine.now_ns + 10_000_000)
+            if process.log_fault == "gone":
+                raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
             for line in bytes(data).decode("utf-8", "replace").splitlines():
                 self.machine.process.log.append(line)
                 self.machine.note("log", self.machine.process.name, line)
@@ -466,6 +483,7 @@ class Socket(socket.socket):
         if not listener.backlog:
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
         stream = listener.backlog.pop(0)
+        listener.changed()  # who waits for a place in the queue
         client = stream.peer.owners[0].pid if stream.peer.owners else 0
         process = self._kernel.machine.process
         stream.own(process)

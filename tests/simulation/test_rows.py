@@ -6,7 +6,7 @@ from tests.simulation.rows import phases, rows, run_row
 from tests.simulation.runs import warm_up
 
 ROWS = rows()
-LEAST = 68
+LEAST = 118
 SLOW = {"frequency_Hz": 0.1, "changes": (("link", "setpoint_readable", False),)}
 
 
