@@ -24,7 +24,7 @@ BENCHMARKS = (
     "identification",
     "commands",
 )
-SLOW = ("companions", "diagnose")  # minutes, and up to an hour: only when named
+SLOW = ("companions", "diagnose", "door")  # minutes, and up to an hour: only when named
 
 
 def run(name: str, *, quick: bool) -> Iterator[Row]:
