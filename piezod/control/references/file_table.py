@@ -15,8 +15,8 @@ from piezod.recording import StrictTable, read_strict_csv
 from piezod.recording.names import unit_of
 from piezod.recording.quantities import UNITS
 
-EQUAL = 1e-12
-"""Difference of first and last row that counts as none [share of the range]: the error of a computed period."""
+EQUAL = 1e-6
+"""Difference of first and last row that counts as none [share of the range]: float32 and seven written digits."""
 
 
 def file_table(config: FileReference, rate_Hz: float, folder: Path, allowed: ReferenceRange) -> TableReference:

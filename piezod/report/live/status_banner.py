@@ -1,6 +1,7 @@
 """The status banner of the live page: state, reason, remedy and current values; and the table of events."""
 
 import html
+import re
 import time
 from collections.abc import Iterable
 from math import hypot
@@ -27,6 +28,7 @@ _SYMBOLS = {
     NO_TICKS: "?",
     State.RUNNING.name: "\N{BLACK RIGHT-POINTING TRIANGLE}",
 }
+_NUMBER_AND_UNIT = re.compile(r"(?<=\d) (?=[%\N{DEGREE SIGN}A-Za-z])")
 _LAST_EVENTS = 8
 FEW_MISSED = 1e-4  # share of missed ticks that a machine may have: `piezod latency` calls such a rate held
 INK_CSS = """
@@ -116,7 +118,7 @@ def banner_html(feed: Feed) -> str:
         text += f"<p class='remedy'>{html.escape(remedy)}</p>"
     symbol = f"<div class='symbol' style='background:{_COLOURS[state]}'>{_SYMBOLS.get(state, '')}</div>"
     values = "".join(
-        f"<div class='value {kind}'><span>{name}</span><b>{html.escape(value)}</b></div>"
+        f"<div class='value {kind}'><span>{name}</span><b>{_unbroken(html.escape(value))}</b></div>"
         for name, value, kind in (*_values(feed), *_judged(feed))
     )
     return f"{about_html(feed)}<div class='banner'>{symbol}<div>{text}</div></div><div class='values'>{values}</div>"
@@ -135,7 +137,12 @@ def about_html(feed: Feed) -> str:
         model = status.get("model")
         parts.insert(0, f"model {Path(model).name}" if model else "without a model")
         parts += [f"piezod {status['version']}", f"up {_lasting(status['up_s'])}"]
-    return f"<p class='about'>{html.escape(' · '.join(parts))}</p>"
+    return f"<p class='about'>{' · '.join(_unbroken(html.escape(part)) for part in parts)}</p>"
+
+
+def _unbroken(text: str) -> str:
+    """The text with each number and its unit on one line."""
+    return _NUMBER_AND_UNIT.sub("\N{NO-BREAK SPACE}", text)
 
 
 def _lasting(time_s: float) -> str:

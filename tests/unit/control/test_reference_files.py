@@ -192,6 +192,12 @@ def test_a_short_burst_above_half_the_tick_rate_is_refused_with_its_place(tmp_pa
         table_of(tmp_path, text)
 
 
+@pytest.mark.parametrize("last", ["0", "1e-6", "-0.0000015"])
+def test_a_loop_whose_last_row_repeats_the_first_but_for_rounding_is_asked_about(tmp_path, last):
+    with pytest.raises(ConfigurationError, match="closing_row to drop"):
+        table_of(tmp_path, lines(["0,0", "0.02,2", f"0.04,{last}"]), 100.0, loop=True)
+
+
 def test_closing_row_without_a_loop_is_refused():
     with pytest.raises(ValueError, match="closing_row is drop, must be null where loop is false"):
         FileReference(kind="file", path="x.csv", closing_row="drop")

@@ -17,6 +17,19 @@ from piezod.report.live.server import read_token
 from piezod.report.live.status_banner import banner_html, events_html, state_and_remedy
 
 
+def words_of(page, feed):
+    """HTML of a part of the page with plain blanks."""
+    return page(feed).replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_a_number_and_its_unit_stay_on_one_line(bench):
+    feed = Feed(bench)
+    feed.set_status(status(missed=900, ticks=100_000), "")
+    assert "900 of 100.9\N{NO-BREAK SPACE}k, 0.89\N{NO-BREAK SPACE}%" in banner_html(feed).replace(
+        "900\N{NO-BREAK SPACE}of", "900 of"
+    )
+
+
 def rows_of(count, first=0, **fields):
     rows = np.zeros(count, ROW_DTYPE)
     rows["tick"] = first + np.arange(count)
@@ -130,13 +143,13 @@ def test_stale_values_are_not_shown(bench):
     log = ring_of(bench, rows_of(3, force_N=12.34))
     feed = Feed(bench, lambda: now_s[0])
     feed.update()
-    assert "12.34 N" in banner_html(feed)
+    assert "12.34 N" in words_of(banner_html, feed)
     now_s[0] += 5.0
     feed.update()
     feed.set_status(None, "no <socket>")
-    assert "12.34 N" not in banner_html(feed)
-    assert "NO TICKS" in banner_html(feed)
-    assert "no &lt;socket&gt;" in banner_html(feed)
+    assert "12.34 N" not in words_of(banner_html, feed)
+    assert "NO TICKS" in words_of(banner_html, feed)
+    assert "no &lt;socket&gt;" in words_of(banner_html, feed)
     log.close()
 
 
@@ -154,8 +167,8 @@ def test_the_error_of_a_looped_reference_is_shown_once_it_is_known(bench, rms_N,
     learning = {"state": "learning", "passes": 7, "first_N": 1.41, "rms_N": rms_N}
     daemon = {"version": "1", "up_s": 60.0, "model": None, "connected": True, "problem": ""}
     feed.set_status(daemon | {"ticks": 9, "missed": 0, "failed_exchanges": 0, "learning": learning}, "")
-    assert ("error, pass 7" in banner_html(feed)) == shown
-    assert ("1.41 \N{RIGHTWARDS ARROW} 0.13 N" in banner_html(feed)) == shown
+    assert ("error, pass 7" in words_of(banner_html, feed)) == shown
+    assert ("1.41 \N{RIGHTWARDS ARROW} 0.13 N" in words_of(banner_html, feed)) == shown
 
 
 def test_events_are_few_and_the_newest_come_first(bench):
@@ -221,7 +234,7 @@ def status(**more):
 def test_the_share_of_missed_ticks_has_a_colour(bench, missed, kind, words):
     feed = Feed(bench)
     feed.set_status(status(missed=missed), "")
-    assert f"<div class='{kind}'><span>ticks missed</span><b>{words}</b>" in banner_html(feed)
+    assert f"<div class='{kind}'><span>ticks missed</span><b>{words}</b>" in words_of(banner_html, feed)
 
 
 @pytest.mark.parametrize(
@@ -232,7 +245,7 @@ def test_a_bench_that_has_left_its_model_is_red(bench, drifted, outside, kind, w
     feed = Feed(bench)
     drift = {"drifted": drifted, "rms_N": 0.3, "offset_N": -0.4, "limit_N": 0.2, "outside": outside}
     feed.set_status(status(drift=drift), "")
-    assert f"<div class='value {kind}'><span>model</span><b>{words}, 0.50 N rms</b>" in banner_html(feed)
+    assert f"<div class='value {kind}'><span>model</span><b>{words}, 0.50 N rms</b>" in words_of(banner_html, feed)
 
 
 def test_stale_values_are_marked(bench):
@@ -240,8 +253,8 @@ def test_stale_values_are_marked(bench):
     log = ring_of(bench, rows_of(3, force_N=12.34))
     feed = Feed(bench, lambda: now_s[0])
     feed.update()
-    assert "<div class='value '><span>force</span>" in banner_html(feed)
+    assert "<div class='value '><span>force</span>" in words_of(banner_html, feed)
     now_s[0] += 5.0
     feed.update()
-    assert "<div class='value bad'><span>force</span>" in banner_html(feed)
+    assert "<div class='value bad'><span>force</span>" in words_of(banner_html, feed)
     log.close()
