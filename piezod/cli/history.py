@@ -71,7 +71,7 @@ def history(
         if table is not None:
             write_history_csv(table, timeline)
         if output is not None:
-            write_history_page(output, timeline)
+            write_history_page(output, timeline, step=step)
     if as_json:
         more = {"checks": [c.as_dict() for c in checks], "next_step": step.as_dict()}
         print(json.dumps(timeline.as_dict(verdict_of(timeline)) | more, indent=2))
@@ -106,8 +106,8 @@ def _archive(
         runs = diagnose_archive(benches, folder, jobs=jobs, scheduler=scheduler, on_recording=report)
         fleet = Fleet.of(runs)
         show("drawing the pages", None)
-        write_fleet_pages(folder, fleet)
-    step = next_after(fleet, archives, folder)
+        step = next_after(fleet, archives, folder)
+        write_fleet_pages(folder, fleet, step)
     if as_json:
         print(json.dumps(fleet.as_dict() | {"next_step": step.as_dict()}, indent=2))
     else:

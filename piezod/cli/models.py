@@ -123,6 +123,7 @@ def identify_files(
         TextOptions,
         check_absent,
         check_folder,
+        check_model_target,
         check_output_path,
         check_page,
         choose_columns,
@@ -130,6 +131,7 @@ def identify_files(
     )
 
     check_output_path(model, recordings)
+    check_model_target(model)
     check_page(model)
     check_absent(model, force=force)
     check_folder(report)

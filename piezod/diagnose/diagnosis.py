@@ -18,6 +18,7 @@ from piezod.diagnose.hypothesis.monotone import is_monotone, monotone_fit
 from piezod.diagnose.judgement import Diagnosis, DiagnosisInputs, diagnosed_nrmse_percent, residuals_of, with_words
 from piezod.diagnose.lineage import with_lineage
 from piezod.diagnose.prepare import substitute_recording
+from piezod.diagnose.ranges import compare_ranges
 from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import comparison_loss, penalised_loss
 from piezod.diagnose.selection.finish import with_each_rival
@@ -136,7 +137,7 @@ def _inputs(
     """Prepared recordings with the free runs of the given model."""
     sources = [*past, *recordings]
     series = [unrounded(recording) for recording in prepared(sources, model)]
-    all_notes = [*notes, *(note for recording in series for note in recording.notes)]
+    all_notes = [*notes, *compare_ranges(model, series), *(note for recording in series for note in recording.notes)]
     given_runs = GivenRuns.of(model, sources, series)
     if not past:
         series.insert(0, substitute_recording(model))

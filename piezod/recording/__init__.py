@@ -16,7 +16,7 @@ from piezod.recording.formats.text import read_csv
 from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.hold import HELD_ONE_SAMPLE, Hold
 from piezod.recording.recording import TIME, Recording
-from piezod.recording.targets import check_absent, check_folder, check_page
+from piezod.recording.targets import check_absent, check_folder, check_model_target, check_page
 
 __all__ = [
     "HELD_ONE_SAMPLE",
@@ -27,6 +27,7 @@ __all__ = [
     "TextOptions",
     "check_absent",
     "check_folder",
+    "check_model_target",
     "check_output_path",
     "check_page",
     "check_recording_target",

@@ -282,6 +282,8 @@ def _open(path: Path, options: TextOptions | None = None) -> Iterator[RecordingS
 
 def _format_of(path: Path, *, to_read: bool = False) -> Format:
     suffix = path.suffix.lower()
+    if to_read and path.is_dir():
+        raise RecordingError(f"{path}: is a folder, must be a recording")
     if to_read and suffix in READ_ONLY:
         return _HDF5 if suffix == ".nc" else FORMATS[".csv"]
     if to_read and suffix in FOREIGN:

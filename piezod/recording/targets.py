@@ -10,6 +10,8 @@ from pathlib import Path
 
 from piezod.errors import ConfigurationError, UsageError
 
+RECORDING_SUFFIXES = (".csv", ".h5", ".hdf5", ".mat", ".tdms", ".parquet", ".mf4", ".sqlite", ".txt", ".xlsx")
+
 
 def check_absent(target: Path, *, force: bool) -> None:
     """Refuse to replace a file.
@@ -26,6 +28,23 @@ def check_absent(target: Path, *, force: bool) -> None:
     """
     if not force and os.path.lexists(target):
         raise UsageError(f"{target} already exists; name another file, or replace it with --force")
+
+
+def check_model_target(target: Path) -> None:
+    """Refuse a name that later would be read as a recording.
+
+    Parameters
+    ----------
+    target
+        File of a model to write.
+
+    Raises
+    ------
+    UsageError
+        Its suffix is that of a recording.
+    """
+    if target.suffix.lower() in RECORDING_SUFFIXES:
+        raise UsageError(f"{target}: suffix is {target.suffix!r}, a model is written as .yaml")
 
 
 def check_page(target: Path | None) -> None:

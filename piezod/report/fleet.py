@@ -16,7 +16,7 @@ from piezod.history.words import interval, wording_of
 from piezod.report.figures.layout import apply_layout
 from piezod.report.history import value_range, write_history_page
 from piezod.report.next_step import UNFINISHED, NextStep, after_fleet
-from piezod.report.page import Part, head_html, table_html, write_page
+from piezod.report.page import Part, head_html, next_step_html, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 from piezod.report.text_table import text_table
 
@@ -71,8 +71,8 @@ def fleet_rows(fleet: Fleet) -> list[list[str]]:
     ]
 
 
-def write_fleet_pages(folder: Path, fleet: Fleet) -> None:
-    """Write the page of the fleet, and a page for each bench in the folder of its name.
+def write_fleet_pages(folder: Path, fleet: Fleet, step: NextStep | None = None) -> None:
+    """Write the page of the fleet with its next step, and a page for each bench in the folder of its name.
 
     Raises
     ------
@@ -91,6 +91,7 @@ def write_fleet_pages(folder: Path, fleet: Fleet) -> None:
     panels = [_panel(fleet, key) for key in fleet.keys]
     parts: list[Part] = [
         head_html("Fleet", f"{fleet.verdict[0].upper()}{fleet.verdict[1:]}."),
+        next_step_html(step),
         f"<h2>What stands out</h2><ul>{outstanding}</ul>" if outstanding else "",
         "<h2>Benches by parameters</h2>",
         *(panels[k : k + 3] for k in range(0, len(panels), 3)),

@@ -17,7 +17,8 @@ from piezod.history.parameters import Key
 from piezod.history.timeline import Step, Timeline
 from piezod.history.words import interval, verdict_of, wording_of
 from piezod.report.figures.layout import MOST_TICKS, apply_layout
-from piezod.report.page import Part, head_html, table_html, write_page, write_text
+from piezod.report.next_step import NextStep
+from piezod.report.page import Part, head_html, next_step_html, table_html, write_page, write_text
 from piezod.report.style import BLUE, GREY, ORANGE
 from piezod.report.text_table import text_table
 
@@ -77,7 +78,9 @@ def write_history_csv(path: Path, timeline: Timeline) -> None:
     write_text(path, content.getvalue())
 
 
-def write_history_page(path: Path, timeline: Timeline, words: str | None = None, recordings: str = "") -> None:
+def write_history_page(
+    path: Path, timeline: Timeline, words: str | None = None, recordings: str = "", step: NextStep | None = None
+) -> None:
     """Write the page: verdict, a panel for each parameter, table, and notes.
 
     Parameters
@@ -86,6 +89,8 @@ def write_history_page(path: Path, timeline: Timeline, words: str | None = None,
         Verdict; None: the verdict of the models.
     recordings
         HTML on the recordings of the bench, behind the table of the models.
+    step
+        Next step; None: the page has none.
 
     Raises
     ------
@@ -102,6 +107,7 @@ def write_history_page(path: Path, timeline: Timeline, words: str | None = None,
     legend = "Bars: 95 % intervals. Orange: changed since the parent, or since the model before."
     parts: list[Part] = [
         head_html("History of the models", f"{words[0].upper()}{words[1:]}."),
+        next_step_html(step),
         panels,
         f"<p class='dim'>{legend}</p>",
         table_html(rows[0], rows[1:]),

@@ -170,7 +170,8 @@ def next_after(recording: Recording, figures: RunFigures) -> NextStep:
     """Next step after a run."""
     ended = figures.ended
     fault = CAUSE_TEXT[ended.cause] if ended is not None and ended.state is State.FAULT else ""
-    return after_report(Path(recording.source), fault=fault, drifted=bool(drifted_at(recording)))
+    missed = (figures.missed or 0) / max(1, (figures.missed or 0) + figures.samples)
+    return after_report(Path(recording.source), fault=fault, drifted=bool(drifted_at(recording)), missed=missed)
 
 
 def _transitions(recording: Recording) -> list[Transition]:

@@ -74,7 +74,7 @@ def lead(findings: Findings) -> str:
     unit = unit_words(findings.unit)
     known = "noise floor" if findings.noise_is_known else "noise unknown, at most"
     floor = f"{known} {rounded(findings.floor)} {unit} ({FLOORS.get(findings.floor_from, findings.floor_from)})"
-    before = f"Error that simulate leaves: {rounded(findings.before)} {unit}"
+    before = f"Error of the simulation: {rounded(findings.before)} {unit}"
     unchanged = unchanged_words(findings.kept)
     unchanged = f" Of the given model: {unchanged}." if unchanged else ""
     if findings.after == findings.before:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 AXIS_WIDTH = 70  # [px]: figures below each other begin at one place
 MOST_TICKS = 5  # more labels overlap on a telephone
+MOST_IN_A_ROW = 3  # entries of a legend in one row; more are cut off on a telephone
 SHOWN_SAMPLES = 1500  # points of a decimated curve; tables use all samples
 
 
@@ -43,6 +44,8 @@ def apply_layout(plot: figure, **legend: Any) -> figure:  # noqa: ANN401
             "margin": 0,
             "padding": 2,
         }
+        if len(plot.legend[0].items) > MOST_IN_A_ROW:
+            shared["ncols"] = 2
         plot.legend[0].update(**(shared | legend))
         plot.add_layout(plot.legend[0], "above")
     return plot

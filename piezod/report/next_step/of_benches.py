@@ -7,6 +7,8 @@ from typing import Any
 
 from piezod.report.next_step.step import AT_NOISE, BENCH, LATER, RICH, NextStep, command, model_line
 
+MANY_MISSED = 0.01  # share of missed ticks from which they explain an error
+
 
 def after_record(recording: Path, bench: Path, model: Path, *, model_exists: bool) -> NextStep:
     """Identify or diagnose the new recording.
@@ -44,7 +46,7 @@ def after_convert(recording: Path, *, has_command: bool) -> NextStep:
     return NextStep("identify a model from it; name its columns", (made,))
 
 
-def after_report(recording: Path, *, fault: str, drifted: bool, config: Path = BENCH) -> NextStep:
+def after_report(recording: Path, *, fault: str, drifted: bool, config: Path = BENCH, missed: float = 0.0) -> NextStep:
     """Step after the end of a run.
 
     Parameters
@@ -53,12 +55,17 @@ def after_report(recording: Path, *, fault: str, drifted: bool, config: Path = B
         Cause of a FAULT at its end; empty: none.
     drifted
         Whether the bench left its model during the run.
+    missed
+        Share of missed ticks.
     """
     if fault:
         repeat = (command("check", config), command("reset", config))
         return NextStep(f"remove the cause ({fault.partition(';')[0]}), then check and reset", repeat)
     if drifted:
         return NextStep("the bench left its model: diagnose the kept recording", (from_bench(config),))
+    if missed > MANY_MISSED:
+        words = f"{100.0 * missed:.2g} % of the ticks were missed, so the errors are of this machine: measure its rate"
+        return NextStep(words, (command("latency"),))
     diagnosis = command("diagnose", recording, "--model", "MODEL.yaml", "-o", "diagnosis")
     return NextStep("diagnose this recording if its error is larger than before", (diagnosis,))
 

@@ -183,7 +183,7 @@ def after_diagnose(
     if bench is not None:  # its daemon runs, and does not change its model by itself
         run = (*(command(verb, bench) for verb in ("check", "disarm", "reload", "arm")),)
     if any(rival.separation < 1.0 for finding in findings.effects for rival in finding.rivals):
-        words += "; a rival is open, the planned drive decides"
+        words += "; to decide between an effect and its rival, record the planned drive"
         run = (*run, *plan)
     elif findings.verdict == "partly_explained":
         words += "; more is left, the planned drive shows more of it"

@@ -26,6 +26,20 @@ def recording(tmp_path):
     return path
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".H5", ".mat"])
+def test_a_model_is_not_written_under_the_suffix_of_a_recording(recording, tmp_path, suffix):
+    done = piezod("identify", recording, "-o", tmp_path / f"model{suffix}")
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "a model is written as .yaml" in done.stderr
+    assert not (tmp_path / f"model{suffix}").exists()
+
+
+def test_a_folder_in_place_of_a_recording_is_named(tmp_path):
+    with pytest.raises(RecordingError, match="is a folder, must be a recording"):
+        read_recording(tmp_path)
+
+
 @pytest.mark.parametrize("kind", ["file", "link to nothing", "folder"])
 def test_an_existing_target_is_replaced_only_with_force(tmp_path, kind):
     path = tmp_path / "there.csv"

@@ -120,7 +120,7 @@ def test_an_unexplained_error_has_its_places_and_the_error_of_a_flexible_model(t
     page = written(tmp_path, effects=(), verdict="unexplained")
     screen = first_screen(page)
     assert "The model lacks an effect that is not in the catalogue" in screen
-    assert "Error that simulate leaves: 2.82 N, 1.90 N after a refit" in screen
+    assert "Error of the simulation: 2.82 N, 1.90 N after a refit" in screen
     assert (
         "could explain 60 % of the remaining error: an effect is missing, and the catalogue does not contain it"
         in screen

@@ -60,6 +60,7 @@ ALL = [
     steps.after_report(REC, fault="", drifted=False),
     steps.after_report(REC, fault="force above its limit; check", drifted=False),
     steps.after_report(REC, fault="", drifted=True, config=BENCH),
+    steps.after_report(REC, fault="", drifted=False, missed=0.29),
     steps.after_check(BENCH, [], model_exists=True),
     steps.after_check(BENCH, ["link"], model_exists=True),
     steps.after_check(BENCH, [], model_exists=False),
@@ -220,3 +221,9 @@ def test_a_page_shows_the_step_escaped():
     assert "piezod diagnose &#x27;&lt;b&gt;.csv&#x27;" in shown
     assert "<b>Next:</b> Diagnose." in shown
     assert next_step_html(None) == ""
+
+
+@pytest.mark.parametrize(("missed", "verb"), [(0.0, "diagnose"), (0.002, "diagnose"), (0.29, "latency")])
+def test_a_run_with_many_missed_ticks_leads_to_the_rate_of_the_machine(missed, verb):
+    step = steps.after_report(REC, fault="", drifted=False, missed=missed)
+    assert step.commands[0].split()[1] == verb
