@@ -17,6 +17,7 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal
 from piezod.diagnose.hypothesis.layout import scaled, unscaled
 from piezod.diagnose.hypothesis.left_out import FORM_ERROR, covariance
+from piezod.diagnose.hypothesis.systematic import systematic_errors
 from piezod.effects.parameter import Parameter
 from piezod.model.information import Information, marginal
 
@@ -73,12 +74,14 @@ def joint_estimate(
     before = covariance_of(information[np.ix_(seen, seen)])
     moves = normal.left_out_moves()[:, [place for place, _ in searched]]
     since = covariance(moves, np.array([_form_error(parameter, given[parameter.name]) for _, parameter in searched]))
-    values = changed.point.values[next(k for k, term in enumerate(changed.terms) if term.effect.name == name)]
+    place = next(k for k, term in enumerate(changed.terms) if term.effect.name == name)
+    values = changed.point.values[place]
     old = np.array([scaled(parameter, given[parameter.name]) for _, parameter in searched])
     new = np.array([scaled(parameter, values[parameter.name]) for _, parameter in searched])
     p, joint, both = averaged(old, new, before, since)
     parameters = [parameter for _, parameter in searched]
-    half = HALF_95 * np.sqrt(np.maximum(np.diag(both), 0.0))
+    alike = systematic_errors(chain, changed)[place]  # it is in both estimates, so an average does not lower it
+    half = np.hypot(HALF_95 * np.sqrt(np.maximum(np.diag(both), 0.0)), [alike[one.name] for one in parameters])
     return JointEstimate(
         p,
         {**values, **_by_name(parameters, joint)},

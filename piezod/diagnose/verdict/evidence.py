@@ -8,6 +8,7 @@ import numpy as np
 from piezod.diagnose.findings import Base, Finding, Place, Rival, Status, UnchangedEffect, Value
 from piezod.diagnose.hypothesis.left_out import FORM_ERROR, INTERVAL_FACTOR
 from piezod.diagnose.hypothesis.stack_change import NAMES
+from piezod.diagnose.hypothesis.systematic import systematic_errors
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import comparison_loss
@@ -76,7 +77,7 @@ def _parameters(result: Search, place: int) -> dict[str, Value]:
     """Parameters of the fitted effect at this place with their intervals; without instants after the last sample."""
     chain, fitted = result.chain, result.hypothesis
     term, values = fitted.terms[place], fitted.point.values[place]
-    series = chain.series[term.series]
+    series, systematic = chain.series[term.series], systematic_errors(chain, fitted)[place]
     parameters = {}
     for parameter in term.effect.catalogued:
         value = {**values, **dict(term.choices)}[parameter.name]
@@ -85,7 +86,8 @@ def _parameters(result: Search, place: int) -> dict[str, Value]:
         if parameter.instant and value > series.duration_s:
             continue
         begin_s = series.start_s if parameter.instant else 0.0
-        low, high = in_fit if parameter.instant else widened(parameter, value, in_fit)
+        error = systematic.get(parameter.name, 0.0)
+        low, high = in_fit if parameter.instant else widened(parameter, value, in_fit, error)
         parameters[parameter.name] = Value(begin_s + value, parameter.unit, begin_s + low, begin_s + high, in_fit)
     if term.effect.is_delay:
         smoothed = any(other.effect.smooths for other in fitted.terms)
@@ -104,15 +106,35 @@ def _ends(parameter: Parameter, value: float, error: float) -> tuple[float, floa
     return float(max(ends[0], parameter.low)), float(min(ends[1], parameter.high))
 
 
-def widened(parameter: Parameter, value: float, in_fit: tuple[float, float]) -> tuple[float, float]:
-    """Interval of the fit (`in_fit`), widened by the error of the effect's form, which left-out blocks do not show."""
+def widened(parameter: Parameter, value: float, in_fit: tuple[float, float], systematic: float) -> tuple[float, float]:
+    """Interval of the fit (`in_fit`), widened by the errors that left-out blocks do not show.
+
+    These are the form of the effect, and `systematic` of `systematic_errors`. The latter never change the sign.
+    """
     low, high = (
         value + side * np.hypot(INTERVAL_FACTOR * (end - value), FORM_ERROR * value)
         for side, end in zip((-1, 1), in_fit, strict=True)
     )
     if parameter.low >= 0.0:
         low = min(max(low, value**2 / high), in_fit[0])  # the factor below is at most the factor above
+    low, high = _with_systematic(parameter, value, (low, high), min(systematic, WIDEST_SPREAD))
     return float(max(low, parameter.low)), float(min(high, parameter.high))
+
+
+def _with_systematic(
+    parameter: Parameter, value: float, ends: tuple[float, float], systematic: float
+) -> tuple[float, float]:
+    """Interval with a further error on the search scale, added in squares."""
+    if parameter.search.logarithmic:
+        below, above = -value * np.expm1(-systematic), value * np.expm1(systematic)
+    else:
+        below = above = systematic
+    low, high = value - np.hypot(value - ends[0], below), value + np.hypot(ends[1] - value, above)
+    if ends[0] > 0.0:
+        return max(low, value * ends[0] / high), high
+    if ends[1] < 0.0:
+        return low, min(high, value * ends[1] / low)
+    return low, high
 
 
 def gone_finding(result: Search, name: str, given: Model) -> Finding:

@@ -30,24 +30,36 @@ def test_a_reading_that_the_found_model_explains_does_not_stand_still(stands, na
 
 
 @pytest.mark.parametrize(
-    ("effect", "name", "value", "half", "expected"),
+    ("effect", "name", "value", "half", "systematic", "expected"),
     [
         (
             "slew_limit",
             "limit_V_per_s",
             300.0,
             0.0,
+            0.0,
             (300.0 * (1.0 - FORM_ERROR), 300.0 * (1.0 + FORM_ERROR)),
         ),  # told exactly
-        ("feedthrough", "coefficient_N_s_per_V", 1.0, 0.2, (1.0 - INTERVAL_FACTOR * 0.2, 1.0 + INTERVAL_FACTOR * 0.2)),
-        ("creep", "per_decade", 0.02, 0.01, (0.01, 0.04)),  # above 0, by a factor
-        ("creep", "per_decade", 0.02, 1.0, (0.0, 0.3)),  # within the range of the parameter
+        (
+            "feedthrough",
+            "coefficient_N_s_per_V",
+            1.0,
+            0.2,
+            0.0,
+            (1.0 - INTERVAL_FACTOR * 0.2, 1.0 + INTERVAL_FACTOR * 0.2),
+        ),
+        ("feedthrough", "coefficient_N_s_per_V", 1.0, 0.2, 0.3, (0.5, 1.5)),  # 0.4 and 0.3 in squares
+        ("feedthrough", "coefficient_N_s_per_V", 1.0, 0.2, 2.0, (0.6 / 3.0396, 3.0396)),  # the sign is known
+        ("feedthrough", "coefficient_N_s_per_V", -1.0, 0.2, 2.0, (-3.0396, -0.6 / 3.0396)),
+        ("slew_limit", "limit_V_per_s", 300.0, 0.0, np.log(3.0), (100.0, 900.0)),  # by a factor
+        ("creep", "per_decade", 0.02, 0.01, 0.0, (0.01, 0.04)),  # above 0, by a factor
+        ("creep", "per_decade", 0.02, 1.0, 0.0, (0.0, 0.3)),  # within the range of the parameter
     ],
 )
-def test_an_interval_holds_what_the_form_of_the_model_is_off_by(effect, name, value, half, expected):
+def test_an_interval_holds_what_the_form_of_the_model_is_off_by(effect, name, value, half, systematic, expected):
     one = EFFECTS[effect].parameter(name)
     in_fit = max(value - half, one.low), min(value + half, one.high)
-    low, high = widened(one, value, in_fit)
+    low, high = widened(one, value, in_fit, systematic)
     assert (low, high) == pytest.approx(expected, rel=1e-3)
     assert one.low <= low <= in_fit[0]
     assert in_fit[1] <= high <= one.high
