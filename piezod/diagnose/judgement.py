@@ -223,7 +223,9 @@ class DiagnosisInputs:
             closed = min(closed, max(gap_closed(before, after, remainder.floor), 0.0))
         structured = structured_share(remainder.share, least, remainder.floor, above=above)
         reduced = [with_lower_confidence(finding, structured, 1.0) for finding in effects]
-        verdict = verdict_of(remainder.share, closed, [*reduced, base] if base.changed else reduced, above=above)
+        differences: list[Finding | Base] = [*reduced, *([base] if base.changed else [])]
+        predicted = bool(self.model.effects)
+        verdict = verdict_of(remainder.share, closed, differences, above=above, predicted=predicted)
         if verdict == "matches" and len(untested) > UNTESTABLE * (len(EFFECTS) - len(DIRECT)):
             verdict = "not_testable"
         if verdict == "partly_explained":

@@ -12,6 +12,7 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.sampling import coarse, fit_from_each
 from piezod.diagnose.hypothesis.terms import Point, Scope, Term
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import degenerate, worth
 from piezod.diagnose.selection.known_values import JointEstimate, agreeing, joint_estimate
 from piezod.diagnose.selection.linear_gain import LinearGains
@@ -136,7 +137,8 @@ class Classified:
 def classify_given(chain: Chain, fitted: Fitted, given: Fitted, known: Information | None) -> Classified:
     """Compare every given effect with the recordings: nothing is fitted for one that is clearly seen and unchanged.
 
-    An effect has changed if other values fit clearly better, and the information on the old ones excludes them.
+    An effect has changed if other values fit clearly better, and the information on the old ones excludes them. A gain
+    below `RULES.beside_known` is the error of the old values.
 
     Parameters
     ----------
@@ -149,6 +151,7 @@ def classify_given(chain: Chain, fitted: Fitted, given: Fitted, known: Informati
     """
     statuses: dict[str, Status] = {}
     joint: dict[str, JointEstimate] = {}
+    refined: dict[str, JointEstimate] = {}
     few = coarse(chain)
     linear = LinearGains(few, fitted)
     for name in given.effects:
@@ -163,19 +166,22 @@ def classify_given(chain: Chain, fitted: Fitted, given: Fitted, known: Informati
             changed = min(changed, reordered(fitted, order), key=lambda hypothesis: hypothesis.loss)
         if worth(held, changed):
             gone = degenerate(chain, changed) or not worth(reduced, changed)
-            fitted, statuses[name] = (reduced, "gone") if gone else (changed, "changed")
             estimate = (
                 None
                 if gone or known is None
                 else joint_estimate(chain, changed, given_values(given, name), name, known)
             )
+            is_small = not gone and held.loss - changed.loss < RULES.beside_known
+            fitted, statuses[name] = (reduced, "gone") if gone else (changed, "changed")
+            if is_small:
+                fitted, statuses[name] = held, "kept"
             if estimate is not None:
-                joint[name] = estimate
+                (refined if is_small else joint)[name] = estimate
         else:
             fitted, statuses[name] = held, "kept" if worth(reduced, held) else "not seen"
         linear = LinearGains(few, fitted)
     few.forget()
-    refined = agreeing(joint, len(given.effects))
+    refined |= agreeing(joint, len(given.effects))
     for name, estimate in refined.items():
         fitted, statuses[name] = with_values(chain, fitted, name, estimate.values), "kept"
     return Classified(fitted, statuses, refined)

@@ -129,6 +129,8 @@ def _with_best_change(state: Search) -> Search | None:
     best = min(tried, key=lambda pair: pair[1].loss, default=None)
     if best is None or not worth(hypothesis, best[1]):
         return None
+    if state.given and hypothesis.loss - best[1].loss < RULES.beside_known:
+        return None
     if best[1].loss > RULES.at_noise and _new_effect_leaves_less(state, RULES.known_first * best[1].loss):
         return None
     return state.on_chain(*best)
