@@ -22,7 +22,7 @@ from piezod.diagnose.ranges import compare_ranges
 from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import comparison_loss, penalised_loss
 from piezod.diagnose.selection.finish import with_each_rival
-from piezod.diagnose.selection.given_effects import as_given, refitted_without, without
+from piezod.diagnose.selection.given_effects import as_given, refitted_without, tone_frequencies_Hz, without
 from piezod.diagnose.selection.search import OnProgress, search
 from piezod.diagnose.selection.search_state import Rivalry, Search
 from piezod.diagnose.selection.stated_hold import with_stated_hold
@@ -103,7 +103,9 @@ def _diagnosed(
     progress("reading", None)
     inputs = _inputs(model, recordings, past, notes)
     chain, start, given = inputs.search_start()
-    result = search(chain, start, progress, given, until_s, model.information)
+    result = search(
+        chain, start, progress, given, until_s, model.information, tone_frequencies_Hz(model), inputs.predicted
+    )
     if result.ended_early:
         inputs = replace(inputs, notes=[*inputs.notes, _ended_early(result)])
     result.chain.forget()

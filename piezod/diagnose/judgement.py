@@ -128,6 +128,12 @@ class DiagnosisInputs:
         files = self.series[self.substitutes :]
         return simulated + [run.at_samples_of(s) for run, s in zip(self.given_runs.runs, files, strict=True)]
 
+    @property
+    def predicted(self) -> float:
+        """Error of the given model's own simulation over the noise of the recordings [1]."""
+        noises_N = [series.noise_N for series in self.series if series.role == "recording"]
+        return tared_rms(self.given_runs.diagnosed_runs) / max(float(np.sqrt(np.mean(np.square(noises_N)))), 1e-300)
+
     def search_start(self) -> tuple[Chain, Point, tuple[Term, ...]]:
         """Recordings without the unnamed law, the base, and the given effects held at their values.
 
@@ -224,7 +230,7 @@ class DiagnosisInputs:
         structured = structured_share(remainder.share, least, remainder.floor, above=above)
         reduced = [with_lower_confidence(finding, structured, 1.0) for finding in effects]
         differences: list[Finding | Base] = [*reduced, *([base] if base.changed else [])]
-        predicted = bool(self.model.effects)
+        predicted = bool(self.model.effects) and not above_noise(before, remainder.floor, span)
         verdict = verdict_of(remainder.share, closed, differences, above=above, predicted=predicted)
         if verdict == "matches" and len(untested) > UNTESTABLE * (len(EFFECTS) - len(DIRECT)):
             verdict = "not_testable"

@@ -50,6 +50,13 @@ def with_loose_base(chain: Chain) -> Chain:
     return chain.like(series) if any(s.name == SUBSTITUTE for s in chain.series) else chain
 
 
+def with_tight_base(chain: Chain, first: Chain) -> Chain:
+    """Chain in which a recording that replaces missing ones counts as in the chain `first`, before it was loosened."""
+    noises_N = {s.name: s.noise_N for s in first.series if s.name == SUBSTITUTE}
+    series = [replace(s, noise_N=noises_N.get(s.name, s.noise_N)) for s in chain.series]
+    return chain.like(series) if noises_N else chain
+
+
 def as_identified(model: Model) -> Model:
     """Given model without the effects and the law that appeared after its identification."""
     effects = tuple(effect for effect in model.effects if effect.since == "identification")

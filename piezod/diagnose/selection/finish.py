@@ -85,15 +85,13 @@ def _with_rival(chain: Chain, fitted: Fitted, name: str, rival: Fitted, most_ste
 def remove_redundant(state: Search) -> Search:
     """State without the effects that the others, or the final base, make unnecessary.
 
-    Beside known effects, a small gain is what the error of their values leaves.
+    Where the given model predicts the recordings, a small gain is what the error of its values leaves.
     """
     waiting = [name for name in state.hypothesis.effects if name not in state.given]
     attempts = list(state.attempts)
     while waiting:
         fewer = refitted_without(state.chain, state.hypothesis, waiting.pop(0))
-        required = worth(fewer, state.hypothesis) and not (
-            state.given and fewer.loss - state.hypothesis.loss < RULES.beside_known
-        )
+        required = worth(fewer, state.hypothesis) and fewer.loss - state.hypothesis.loss >= state.least_gain
         attempts.append(Attempt("drop", len(state.names), fewer, state.hypothesis, degenerate=False, accepted=required))
         if not required:
             state = replace(state, hypothesis=fewer)

@@ -12,7 +12,6 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, fit
 from piezod.diagnose.hypothesis.sampling import coarse, fit_from_each
 from piezod.diagnose.hypothesis.terms import Point, Scope, Term
-from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import degenerate, worth
 from piezod.diagnose.selection.known_values import JointEstimate, agreeing, joint_estimate
 from piezod.diagnose.selection.linear_gain import LinearGains
@@ -39,6 +38,12 @@ def given_effects(model: Model, hashes: Sequence[str]) -> tuple[tuple[Term, ...]
         terms.append(Term(effect, _scope(entry), number, choices, held=True))
         values.append(known)
     return tuple(terms), tuple(values)
+
+
+def tone_frequencies_Hz(model: Model) -> tuple[float, ...]:
+    """Frequencies of the tones of the given model."""
+    tones = [entry for entry in model.effects if EFFECTS[entry.name].is_tone]
+    return tuple(dict.fromkeys(entry.parameters["frequency_Hz"] for entry in tones))
 
 
 def _scope(entry: EffectValues) -> Scope:
@@ -134,20 +139,35 @@ class Classified:
     refined: dict[str, JointEstimate]
 
 
-def classify_given(chain: Chain, fitted: Fitted, given: Fitted, known: Information | None) -> Classified:
+def classify_given(
+    chain: Chain,
+    tight: Chain,
+    fitted: Fitted,
+    given: Fitted,
+    known: Information | None,
+    count: int,
+    least_gain: float,
+) -> Classified:
     """Compare every given effect with the recordings: nothing is fitted for one that is clearly seen and unchanged.
 
     An effect has changed if other values fit clearly better, and the information on the old ones excludes them. A gain
-    below `RULES.beside_known` is the error of the old values.
+    below `least_gain` is the error of the old values. Values that agree must suffice without another base: base
+    and effect together were known better than each of them.
 
     Parameters
     ----------
     chain, fitted
         Recordings, and result of the search.
+    tight
+        Recordings with the base as well known as by the given model.
     given
         Base with all given effects held.
     known
         Information of the given model; None: its values are taken as exact.
+    count
+        Number of things that were tested: effects and tones of the given model, and gain and loops if these changed.
+    least_gain
+        Least gain of a change [noise variance].
     """
     statuses: dict[str, Status] = {}
     joint: dict[str, JointEstimate] = {}
@@ -171,7 +191,7 @@ def classify_given(chain: Chain, fitted: Fitted, given: Fitted, known: Informati
                 if gone or known is None
                 else joint_estimate(chain, changed, given_values(given, name), name, known)
             )
-            is_small = not gone and held.loss - changed.loss < RULES.beside_known
+            is_small = not gone and held.loss - changed.loss < least_gain
             fitted, statuses[name] = (reduced, "gone") if gone else (changed, "changed")
             if is_small:
                 fitted, statuses[name] = held, "kept"
@@ -181,10 +201,20 @@ def classify_given(chain: Chain, fitted: Fitted, given: Fitted, known: Informati
             fitted, statuses[name] = held, "kept" if worth(reduced, held) else "not seen"
         linear = LinearGains(few, fitted)
     few.forget()
-    refined |= agreeing(joint, len(given.effects))
+    refined |= {
+        name: estimate
+        for name, estimate in agreeing(joint, count).items()
+        if _explains(tight, fitted, name, estimate.values, least_gain)
+    }
     for name, estimate in refined.items():
         fitted, statuses[name] = with_values(chain, fitted, name, estimate.values), "kept"
     return Classified(fitted, statuses, refined)
+
+
+def _explains(tight: Chain, fitted: Fitted, name: str, values: Values, least_gain: float) -> bool:
+    """Whether values of an effect explain the recordings as well as fitted ones, without another base."""
+    averaged, free = with_values(tight, fitted, name, values), fit(tight, fitted.terms, fitted.point)
+    return not worth(averaged, free) or averaged.loss - free.loss < least_gain
 
 
 def given_values(given: Fitted, name: str) -> Values:

@@ -115,13 +115,13 @@ def covariance_of(information: Array) -> Array:
     return inverse
 
 
-def agreeing(estimates: Mapping[str, JointEstimate], effects: int) -> dict[str, JointEstimate]:
+def agreeing(estimates: Mapping[str, JointEstimate], count: int) -> dict[str, JointEstimate]:
     """Estimates of effects that have not changed, at a false-discovery rate of `DISCOVERIES` (Benjamini and Hochberg).
 
-    `effects`: number of effects of the given model; those without an estimate count as unchanged.
+    `count`: number of things that may have changed; those without an estimate count as unchanged.
     """
     ordered = sorted(estimates, key=lambda name: estimates[name].p)
-    limits = DISCOVERIES * np.arange(1, len(ordered) + 1) / max(effects, 1)
+    limits = DISCOVERIES * np.arange(1, len(ordered) + 1) / max(count, 1)
     below = [k for k, name in enumerate(ordered) if estimates[name].p <= limits[k]]
     changed = ordered[: below[-1] + 1] if below else []
     return {name: estimate for name, estimate in estimates.items() if name not in changed}

@@ -13,7 +13,7 @@ from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.sampling import best_intersample, with_usual_start
 from piezod.diagnose.hypothesis.stack_change import NAMES, with_stack_changed
 from piezod.diagnose.hypothesis.terms import Point, Term
-from piezod.diagnose.prepare import with_loose_base
+from piezod.diagnose.prepare import with_loose_base, with_tight_base
 from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import highest_accepted_loss, worth
 from piezod.diagnose.selection.candidates import Candidates
@@ -21,6 +21,7 @@ from piezod.diagnose.selection.finish import fit_all_samples, remove_redundant, 
 from piezod.diagnose.selection.given_effects import classify_given, with_fitted_values
 from piezod.diagnose.selection.moves import MOVES
 from piezod.diagnose.selection.search_state import Search, identified_base
+from piezod.diagnose.selection.tone_search import without_known_tones
 from piezod.diagnose.selection.unchanged import is_unchanged
 from piezod.model.information import Information
 
@@ -34,6 +35,8 @@ def search(
     given: tuple[Term, ...] = (),
     until_s: float = np.inf,
     known: Information | None = None,
+    known_tones_Hz: tuple[float, ...] = (),
+    predicted: float = np.inf,
 ) -> Search:
     """Find the effects that the recordings show.
 
@@ -49,16 +52,23 @@ def search(
         Monotonic time at which the search ends [s]; an effect that is not compared by then is not taken.
     known
         Information of the given model on its parameters; None: it states none.
+    known_tones_Hz
+        Frequencies of the given model's tones.
+    predicted
+        Error of the given model's own simulation over the noise of the recordings [1].
     """
     progress("fitting the base", None)
-    state = replace(_begun(chain.within(until_s), start, given), known=known)
-    if not given or not is_unchanged(state):
+    state = replace(_begun(chain.within(until_s), start, given), known=known, predicted=predicted)
+    state = without_known_tones(replace(state, known_tones_Hz=known_tones_Hz))
+    if not state.has_known or not is_unchanged(state):
         state = _with_moves(_with_refined_base(_with_changes(state)), progress)
     state = replace(state, chain=state.chain.within(np.inf), ended_early=state.chain.is_late)
     if not state.ended_early:
         progress("comparing with rivals, leaving out what gains nothing", None)
         state = replace_by_rivals(state)
-    now = classify_given(state.chain, state.hypothesis, state.base, known)
+    count = len(state.given) + len(known_tones_Hz) + (len(NAMES) if state.stack_changed else 0)
+    tight = with_tight_base(state.chain, chain)
+    now = classify_given(state.chain, tight, state.hypothesis, state.base, known, count, state.least_gain)
     state = replace(state, hypothesis=now.hypothesis, statuses=now.statuses, refined=now.refined)
     return fit_all_samples(remove_redundant(state))
 
@@ -103,7 +113,7 @@ def _with_refined_base(state: Search) -> Search:
 
     A change of the stack keeps its factors: they were estimated with the base of the given model.
     """
-    chain = with_loose_base(state.chain) if state.given else state.chain
+    chain = with_loose_base(state.chain) if state.has_known else state.chain
     if chain is state.chain:
         return state
     hypothesis = state.hypothesis
@@ -116,20 +126,20 @@ def _with_best_change(state: Search) -> Search | None:
     """State with the best change of a given effect or of the stack; None where no change is worth it.
 
     A change is likelier than a new effect, so it is tried first. It must leave no more than noise, or little beside
-    what the best new effect leaves. Without given effects a change of the stack must leave nearly nothing, because a
-    new effect may do the same.
+    what the best new effect leaves. Without given effects and tones a change of the stack must leave nearly nothing,
+    because a new effect may do the same.
     """
     chain, hypothesis = state.chain, state.hypothesis
     names = [term.effect.name for term in hypothesis.terms if term.held]
     tried = [(chain, with_fitted_values(chain, hypothesis, name, state.past)) for name in names]
-    limit = highest_accepted_loss(hypothesis) if names else RULES.stack_alone * hypothesis.loss
+    limit = highest_accepted_loss(hypothesis) if state.has_known else RULES.stack_alone * hypothesis.loss
     stack = None if state.stack_changed else with_stack_changed(chain, hypothesis, state.past, limit)
     if stack is not None and stack[1].loss < limit:
         tried.append(stack)
     best = min(tried, key=lambda pair: pair[1].loss, default=None)
     if best is None or not worth(hypothesis, best[1]):
         return None
-    if state.given and hypothesis.loss - best[1].loss < RULES.beside_known:
+    if hypothesis.loss - best[1].loss < state.least_gain:
         return None
     if best[1].loss > RULES.at_noise and _new_effect_leaves_less(state, RULES.known_first * best[1].loss):
         return None

@@ -6,10 +6,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from piezod.diagnose.candidates.tones import Tone
+from piezod.diagnose.findings import ABOVE_NOISE
 from piezod.diagnose.hypothesis import stack_change
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
 from piezod.diagnose.hypothesis.terms import Point, Term
+from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.given_effects import Status
 from piezod.diagnose.selection.known_values import JointEstimate
 from piezod.diagnose.selection.replay import Attempt
@@ -75,6 +77,10 @@ class Search:
         Recordings and hypothesis by which a change of the stack was estimated; None: as in the state.
     known
         Information of the given model on its parameters; None: it states none.
+    known_tones_Hz
+        Frequencies of the tones of the given model.
+    predicted
+        Error of the given model's own simulation over the noise of the recordings [1].
     ended_early
         Whether the time of the search was over before it ended by itself.
     """
@@ -91,12 +97,24 @@ class Search:
     refined: Mapping[str, JointEstimate] = field(default_factory=dict)
     stack: tuple[Chain, Fitted] | None = None
     known: Information | None = None
+    known_tones_Hz: tuple[float, ...] = ()
+    predicted: float = np.inf
     ended_early: bool = False
 
     @property
     def given(self) -> tuple[str, ...]:
         """Effects of the given model."""
         return self.base.effects
+
+    @property
+    def has_known(self) -> bool:
+        """Whether the given model has effects or tones."""
+        return bool(self.given or self.known_tones_Hz)
+
+    @property
+    def least_gain(self) -> float:
+        """Least gain of a difference from the given model, beside `acceptance.worth` [noise variance]."""
+        return RULES.beside_known if self.has_known and self.predicted <= ABOVE_NOISE else 0.0
 
     @property
     def new(self) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from piezod.estimation.recordings.series import Series
 
 NEAR_A_MODE = 0.05  # relative distance in frequency within which a line is the ringing of a mode
 TRIED = 2  # strongest tones that are tried
+TONE_CHANGE = 0.2  # relative change of a tone's amplitude or frequency that machines show by themselves
 
 
 @dataclass(frozen=True)
@@ -34,17 +35,31 @@ class RemovedTone:
     group: Sequence[Tone]
 
 
-def strongest_tone(state: Search) -> RemovedTone | None:
-    """Strongest tone whose removal lowers the loss enough."""
+def strongest_tone(state: Search, *, only_known: bool = False) -> RemovedTone | None:
+    """Strongest tone whose removal lowers the loss enough; `only_known`: near a tone of the given model."""
     residuals = residuals_of(state)
     for group in tones(state.chain.series, residuals, state.tones)[:TRIED]:
-        if _near_a_mode(state, group[0]):
+        if _near_a_mode(state, group[0]) or (only_known and not _is_known(state, group[0])):
             continue
         chain = state.chain.like(without_tones(state.chain.series, group))
         removed = RemovedTone(chain, fit(chain, state.hypothesis.terms, state.hypothesis.point, most_steps=6), group)
         if worth(state.hypothesis, removed.fitted) or dominates(state, removed):
             return removed
     return None
+
+
+def without_known_tones(state: Search) -> Search:
+    """State without the tones of the given model in the readings: each recording has their phase anew."""
+    for _ in state.known_tones_Hz:
+        removed = strongest_tone(state, only_known=True)
+        if removed is None:
+            break
+        state = subtract(state, removed)
+    return state
+
+
+def _is_known(state: Search, tone: Tone) -> bool:
+    return any(abs(tone.values["frequency_Hz"] / known_Hz - 1.0) < TONE_CHANGE for known_Hz in state.known_tones_Hz)
 
 
 def residuals_of(state: Search) -> list[Array]:

@@ -11,13 +11,13 @@ from piezod.diagnose.findings import Finding, Value
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.selection.search_state import Search
+from piezod.diagnose.selection.tone_search import TONE_CHANGE
 from piezod.diagnose.verdict.evidence import NORMAL_95, confidence_of, finding_about, given_values
 from piezod.diagnose.verdict.places import place_of
 from piezod.diagnose.verdict.verdict import held_out_rms, tone_power
 from piezod.effects import EFFECTS
 from piezod.model import Model
 
-TONE_CHANGE = 0.2  # relative change of a tone's amplitude or frequency that machines show by themselves
 GONE = 0.5  # largest amplitude that a gone tone may still have, relative to the given model
 
 
