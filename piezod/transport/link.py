@@ -34,6 +34,7 @@ class ExchangeResult(IntEnum):
 ACKNOWLEDGED = frozenset(
     {ExchangeResult.OK, ExchangeResult.NOT_FINITE, ExchangeResult.OUT_OF_RANGE, ExchangeResult.HEARTBEAT_STOOD}
 )
+ANY = -1  # in place of the number of a connection: a voltage may be sent on every one
 
 
 class Reading:

@@ -9,7 +9,7 @@ from piezod.runtime import clock
 from piezod.transport.frames import Request, read_request, read_write_request, write_request
 from piezod.transport.held_command import HeldNumber, HeldSetPoint
 from piezod.transport.identity import Expectation, check_register
-from piezod.transport.link import ExchangeResult, Reading
+from piezod.transport.link import ACKNOWLEDGED, ANY, ExchangeResult, Reading
 from piezod.transport.register_guard import IDENTITY_ROLES, RegisterGuard
 from piezod.transport.registers import RegisterCodec
 from piezod.transport.tick_values import COUNTERS, Plausibility, ReadBlock, SetPoint
@@ -44,10 +44,12 @@ class ModbusLink:
 
     __slots__ = (
         "_block",
+        "_exchange_generation",
         "_guard",
         "_held",
         "_number",
         "_plausibility",
+        "_poll_generation",
         "_read",
         "_registers",
         "_set_point",
@@ -80,6 +82,9 @@ class ModbusLink:
         elif set_point is not None and set_point.has_sequence and "command_echo" in reads:
             self._held = HeldNumber(wire, config.unit_id, reads["command_echo"])
         self._written_generation = -1
+        self._exchange_generation = self._poll_generation = (
+            ANY  # connection of the last good exchange, of the last poll
+        )
         self._number = 0  # of the command that the device holds
         self.time_limit_s = inf
         self.counts = [0] * len(ExchangeResult)
@@ -137,6 +142,7 @@ class ModbusLink:
     def open(self) -> None:
         """Connect; raises UnreachableError or BusyError."""
         self._wire.open()
+        self._exchange_generation = self._poll_generation = self._wire.generation
         self._plausibility.forget_heartbeat()
 
     def close(self) -> None:
@@ -146,6 +152,7 @@ class ModbusLink:
     def exchange(self, voltage_V: float) -> ExchangeResult:
         """Write the voltage [V] and read the block; never raises, returns within the timeout."""
         result = self._exchange(voltage_V, clock.monotonic() + min(self._timeout_s, self.time_limit_s))
+        self._exchange_generation = self._wire.generation if result is _OK or result in ACKNOWLEDGED else ANY
         self.counts[result] += 1
         return result
 
@@ -172,7 +179,11 @@ class ModbusLink:
     def _write_set_point(
         self, write: Request, set_point: SetPoint, voltage_V: float, deadline_s: float
     ) -> ExchangeResult:
-        """Send the set point; if the voltage cannot be encoded, send nothing."""
+        """Send the set point; if the voltage cannot be encoded, send nothing.
+
+        Nor is anything sent where the connection was lost between two exchanges. The device may have restarted, and no
+        exchange has reported it: this one does, and the caller reads the device before it writes again.
+        """
         wire = self._wire
         written_V = set_point.encode_into(write, voltage_V)
         if written_V != written_V:  # noqa: PLR0124 - nan
@@ -180,6 +191,8 @@ class ModbusLink:
         result = self._ensure_verified(deadline_s)
         if result is not _OK:
             return result
+        if self._exchange_generation not in (ANY, wire.generation):
+            return ExchangeResult.DISCONNECTED
         self.written_V = written_V
         result = wire.transact(write, deadline_s)
         self._number = set_point.sequence
@@ -189,12 +202,13 @@ class ModbusLink:
 
     def _poll(self, deadline_s: float) -> ExchangeResult:
         wire, set_point = self._wire, self._set_point
-        generation = wire.generation
         result = self._ensure_verified(deadline_s)
-        if wire.generation != generation:
+        if wire.generation != self._poll_generation:
+            self._poll_generation = wire.generation
             self._plausibility.forget_heartbeat()
         if result is not _OK:
             return result
+        self._exchange_generation = wire.generation
         if set_point is not None and set_point.has_sequence and self._written_generation == wire.generation:
             return self._read_block(deadline_s, self._number)
         return self._read_block(deadline_s, -1)

@@ -19,7 +19,7 @@ from piezod.transport.bad_exchange import BadExchange
 from piezod.transport.line_guard import WATCHDOG, LineGuard
 from piezod.transport.line_reply import ROLES, ReplyFields, decimal
 from piezod.transport.line_template import query_of, template_of
-from piezod.transport.link import ExchangeResult, Reading
+from piezod.transport.link import ACKNOWLEDGED, ANY, ExchangeResult, Reading
 from piezod.transport.port import RECEIVE_BYTES
 from piezod.transport.serial_port import SerialPort
 from piezod.transport.tick_values import Plausibility
@@ -46,6 +46,7 @@ class SerialLineDevice:
     __slots__ = (
         "_acknowledge",
         "_config",
+        "_exchange_generation",
         "_fields",
         "_guard",
         "_identity",
@@ -84,6 +85,7 @@ class SerialLineDevice:
         self._plausibility = Plausibility(self._fields.roles - {"command_echo"}, config.heartbeat_within_s)
         self.reading: Reading = self._plausibility.reading
         self._set_up_generation = -1
+        self._exchange_generation = ANY  # opening of the port at the last good exchange
         self._set_up_line = 0
         self._guard = LineGuard(self._exchange_line, self._identity, (self._watchdog, self._watchdog_reply))
         self.counts = [0] * len(ExchangeResult)
@@ -110,6 +112,7 @@ class SerialLineDevice:
     def open(self) -> None:
         """Open and lock the port, and send the lines of `setup`; raises UnreachableError or BusyError."""
         self._port.open()
+        self._exchange_generation = ANY
         self._plausibility.forget_heartbeat()
         result = self._ensure_set_up(clock.monotonic() + max(SET_UP_TIMEOUT_S, self._config.timeout_s))
         if result is not _OK:
@@ -127,6 +130,7 @@ class SerialLineDevice:
     def exchange(self, voltage_V: float) -> ExchangeResult:
         """Set the voltage [V] and read; never raises, returns within the timeout."""
         result = self._exchange(voltage_V, clock.monotonic() + min(self._config.timeout_s, self.time_limit_s))
+        self._exchange_generation = self._port.generation if result is _OK or result in ACKNOWLEDGED else ANY
         self.counts[result] += 1
         return result
 
@@ -138,6 +142,7 @@ class SerialLineDevice:
         if self._port.generation != generation:
             self._plausibility.forget_heartbeat()
         if result is _OK:
+            self._exchange_generation = self._port.generation
             result = self._measure_reading(deadline_s)
         self.counts[result] += 1
         return result
@@ -152,6 +157,8 @@ class SerialLineDevice:
         result = self._ensure_verified(deadline_s)
         if result is not _OK:
             return result
+        if self._exchange_generation not in (ANY, self._port.generation):
+            return ExchangeResult.DISCONNECTED  # the port was lost between two exchanges: the caller reads first
         self.written_V = written_V
         result, _ = self._exchange_line(line, self._acknowledge, deadline_s)
         return self._measure_reading(deadline_s) if result is _OK else result

@@ -46,7 +46,7 @@ SHOWN_WITHIN_S = 0.1  # an accepted arm is answered some ticks before the log sh
 WATCHDOG_KNOWN_S = 2.0  # the guard reads it each second; then the ramp down
 SENT_EVERY_S = 0.01
 ARMING_TIMEOUT_S = 2.0
-ARMING_WITHIN_S = ARMING_TIMEOUT_S + 0.35 + 1.0  # with the rise to 140 V at 400 V/s, and checks before it
+ARMING_MORE_S = 0.35 + 1.0  # the rise to 140 V at 400 V/s, and checks before it
 RESTART_WITHIN_S = 0.3  # 60 ms in the fault list; slow machines among the seeds
 RESTORED_WITHIN_S = 3.0  # the service looks for its files each second
 FOREIGN_WITHIN_S = 0.1  # the guard compares the set point each 50 ms
@@ -130,7 +130,8 @@ class History:
         if plan.recorder:
             content["recorder"] = {"folder": str(folder / "recordings"), "sync_every_s": 0.5}
         if plan.wire == "rtu":
-            content["link"] = {"kind": "modbus_rtu", "baudrate": BAUDRATE, "registers": content["link"]["registers"]}
+            kept = {key: content["link"][key] for key in ("registers", "setpoint_readable")}
+            content["link"] = kept | {"kind": "modbus_rtu", "baudrate": BAUDRATE}
         port = PORT if plan.wire == "tcp" else str(folder / "serial-by-id")
         content["link"] |= {"timeout_s": 0.8 / plan.rate_Hz, "heartbeat_within_s": 0.005, "port": port}
         content["limits"] |= {
@@ -147,6 +148,8 @@ class History:
         for name, file_text in plan.files.items():
             (folder / name).write_text(file_text, encoding="utf-8")
             (folder / name).chmod(0o600)
+        limits = content["limits"] | plan.sections.get("limits", {})
+        self.arming_within_s = limits["arming_timeout_s"] + ARMING_MORE_S
         text = self.with_sections(plan.sections)
         self.path.write_text(text, encoding="utf-8")
         cold = {"power_W": 0.0, "time_s": 1e-9 * (self.machine.now_ns + self.machine.wall_offset_ns)}
@@ -315,8 +318,8 @@ class History:
         held = self.control is None or self.control.stopped_until_ns or now_ns <= self.machine.stalled_until_ns
         if self.state() is not State.ARMING or held:
             self.arming_since_ns = now_ns
-        elif now_ns - self.arming_since_ns > ARMING_WITHIN_S * SECOND:
-            self.violate("arming", f"ARMING for more than {ARMING_WITHIN_S:g} s")
+        elif now_ns - self.arming_since_ns > self.arming_within_s * SECOND:
+            self.violate("arming", f"ARMING for more than {self.arming_within_s:g} s")
 
     def expect_rest(self, reason, more_s=0.0):
         if self.rest_due is None:

@@ -53,7 +53,7 @@ class SerialConnection:
 
     def __init__(self, network, stream):
         self.network, self.stream, self.machine = network, stream, network.machine
-        self.alive = True
+        self.alive, self.unplugged = True, False
         self.last_ns = {"request": 0, "reply": 0}
         stream.route = self.sent
         network.connections.append(self)
@@ -80,8 +80,8 @@ class SerialConnection:
     def arrive(self, way, data):
         """Bytes at their end of the line; the station stays when the service has opened the port anew."""
         network = self.network
-        if network.cut or network.refuses:
-            return
+        if network.cut or network.refuses or self.unplugged:
+            return  # what is on its way is lost
         self.machine.digest.update(b"%d %s " % (self.machine.now_ns, way.encode()) + data)
         if way == "reply":
             if self.alive:
@@ -97,7 +97,7 @@ class SerialConnection:
     def reset(self):
         """The adapter is unplugged: the port is readable, and contains no bytes."""
         if self.alive:
-            self.alive = False
+            self.alive, self.unplugged = False, True
             self.network.drop(self)
             self.stream.end()
 

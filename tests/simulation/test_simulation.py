@@ -43,6 +43,16 @@ def test_an_amplifier_that_stays_on_after_a_kill_is_a_violation():
     assert [kind for kind, *_ in result.violations] == ["rest"]
 
 
+@pytest.mark.parametrize("number", range(40))
+def test_a_device_that_restarts_at_any_time_gets_no_voltage_of_before(number):
+    """Found by seed 50329: the comparison between two ticks met the loss, and the next tick wrote 77 V at rest.
+
+    Every 50 ms there is such a comparison: at 2.8400 s and at 2.8413 s the restart came shortly before one.
+    """
+    restart = Event(2.8 + 0.00125 * number, "restart_device")
+    assert run(Plan(50329, 4.0, frequency_Hz=4.0, events=(Event(2.0, "arm"), restart))).violations == []
+
+
 def test_shrinking_keeps_the_events_that_matter():
     extra = tuple(Event(2.0 + 0.05 * n, "status") for n in range(1, 8))
     needed = (Event(2.0, "arm"), Event(3.0, "watchdog", (0,)), Event(3.001, "kill_all"))

@@ -51,6 +51,19 @@ def test_an_idle_connection_that_the_device_closed_is_reopened(tcp):
     assert until_good(lambda: link.exchange(3.0)) == [ExchangeResult.DISCONNECTED, ExchangeResult.OK]
 
 
+def test_a_loss_between_two_exchanges_is_reported_before_a_voltage_is_sent(tcp):
+    """The device may have restarted, at rest: a voltage sent at once would be a step of its output."""
+    link, server = tcp
+    assert link.exchange(2.0) is ExchangeResult.OK
+    server.once(lambda _: [CLOSE])
+    assert link.compare_command() is ExchangeResult.DISCONNECTED
+    time.sleep(0.06)
+    assert link.exchange(50.0) is ExchangeResult.DISCONNECTED
+    assert link.written_V == 2.0
+    assert until_good(lambda: link.exchange(51.0))[-1] is ExchangeResult.OK
+    assert link.written_V == 51.0
+
+
 def test_reconnection_is_attempted_at_most_every_50_ms(tcp, monkeypatch):
     link, server = tcp
     attempts = []
