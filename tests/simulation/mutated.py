@@ -2,7 +2,7 @@
 
 import sys
 
-from tests.simulation.mutations import LONG_ROWS, SECONDS, SEEDS, apply_named
+from tests.simulation.mutations import QUICK_ROWS, SECONDS, SEEDS, apply_named
 
 apply_named()
 
@@ -13,9 +13,9 @@ def main():
     from tests.simulation.runs import run, warm_up
 
     warm_up()
-    for name, fault in rows().items():
-        if fault["inject"]["by"] in LONG_ROWS:
-            continue
+    every = rows()
+    for name in QUICK_ROWS:
+        fault = every[name]
         bad, _ = run_row(fault, phases(fault)[0])
         if bad:
             print(f"row {name}: {bad[0]}")
