@@ -42,7 +42,7 @@ class Rules:
     beside_known
         Least gain of a new effect or of a change, where a given model with effects predicts the recordings within
         `findings.ABOVE_NOISE` [noise variance]. Unchanged models leave up to 0.66 more than the noise in new recordings
-        of concealed lives. Five false names gained 0.25 to 0.52 of it. Errors of changed models were 5 and more.
+        of concealed lives. Five false names gained 0.25 to 0.52. Errors of changed models were 5 and more.
     dominant_tone
         Share of its recordings' loss that a tone may leave to be removed before other effects are tried.
     edge

@@ -1,6 +1,6 @@
 """Errors of fitted parameters that are alike in all blocks, so that left-out blocks do not show them.
 
-The form of an effect is not exactly that of the plant. Such a difference moves a parameter by FORM c / sqrt(m)
+The form of an effect differs from the plant. Such a difference moves a parameter by FORM c / sqrt(m)
 (derived here). c is the root of the summed squares of all contributions [noise rms]. m is the information on the
 parameter if all others are unknown, so a parameter that others nearly replace has a large error.
 
@@ -45,7 +45,7 @@ def systematic_errors(chain: Chain, fitted: Fitted) -> tuple[dict[str, float], .
 
 
 def _contributions(normal: Normal) -> float:
-    """Sum of the squares of what each effect adds to the compared readings [noise variance]."""
+    """Sum of the squares of each effect's contribution to the compared readings [noise variance]."""
     square = 0.0
     for place in range(len(normal.terms)):
         terms = [term for k, term in enumerate(normal.terms) if k != place]
@@ -60,7 +60,7 @@ def _contributions(normal: Normal) -> float:
 def _shifts_by_time(normal: Normal, hessian: Array) -> Array:
     """Change of the fitted vector with one standard error of the time of the readings, shape (P,).
 
-    A fitted delay is kept, since the time and the delay together are what the recordings show.
+    A fitted delay is kept, since the recordings show only the sum of time and delay.
     """
     kept = [normal.terms[term].effect.is_delay for term, _ in normal.layout.searched]
     free = np.flatnonzero([True] * normal.layout.effects + [not one for one in kept])

@@ -85,7 +85,7 @@ def _with_rival(chain: Chain, fitted: Fitted, name: str, rival: Fitted, most_ste
 def remove_redundant(state: Search) -> Search:
     """State without the effects that the others, or the final base, make unnecessary.
 
-    Where the given model predicts the recordings, a small gain is what the error of its values leaves.
+    Where the given model predicts the recordings, a small gain comes from the errors of its values.
     """
     waiting = [name for name in state.hypothesis.effects if name not in state.given]
     attempts = list(state.attempts)

@@ -113,7 +113,7 @@ class Search:
 
     @property
     def least_gain(self) -> float:
-        """Least gain of a difference from the given model, beside `acceptance.worth` [noise variance]."""
+        """Least gain of a difference from the given model, in addition to `acceptance.worth` [noise variance]."""
         return RULES.beside_known if self.has_known and self.predicted <= ABOVE_NOISE else 0.0
 
     @property

@@ -49,7 +49,7 @@ def strongest_tone(state: Search, *, only_known: bool = False) -> RemovedTone | 
 
 
 def without_known_tones(state: Search) -> Search:
-    """State without the tones of the given model in the readings: each recording has their phase anew."""
+    """State without the tones of the given model in the readings: their phase differs in each recording."""
     for _ in state.known_tones_Hz:
         removed = strongest_tone(state, only_known=True)
         if removed is None:

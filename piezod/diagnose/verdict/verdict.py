@@ -26,7 +26,7 @@ from piezod.estimation.recordings.series import Series
 
 MISSING_SHARE = 0.1  # explainable share of the residual above which something is missing
 PREDICTED_SHARE = 0.25
-"""The same for a given model with effects in which nothing has changed. It predicts, with the errors of all its values.
+"""MISSING_SHARE of an unchanged given model with effects. It predicts, with the errors of all its values.
 Unchanged models of concealed lives left up to 0.26 in new recordings, true changes at least 0.9."""
 PARTLY_SHARE = 0.75  # explainable share above which nothing is `explained`: the residual is twice the noise
 LEVEL_SHARE = 0.25  # least share of the residual that grows with the force; a smaller one is ignored
