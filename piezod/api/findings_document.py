@@ -145,13 +145,21 @@ class UnexplainedEntry(TypedDict):
     unrecorded_input: UnrecordedEntry | None
 
 
+class ModeEntry(TypedDict):
+    """Natural frequency [Hz] and damping ratio [1] of a mode."""
+
+    frequency_Hz: float
+    damping_ratio: float
+
+
 class UnnamedLawEntry(TypedDict):
-    """Law without a name: its drivers, memories [s] and errors."""
+    """Law without a name: its drivers, memories [s], modes and errors."""
 
     drivers: list[str]
     form: str
     formula: str | None
     memories_s: list[float]
+    modes: list[ModeEntry]
     scope: str
     held_out: ErrorsEntry
     p_value: float

@@ -118,7 +118,9 @@ def _law_check(bench: BenchConfig, model: Model) -> Check:
         return Check("effects", "WARN", "unnamed law: not compensated, because of compensation_without")
     if ExtendedCompensator(model, bench.dt_s, bench.compensation_without).compensates_law:
         return Check("effects", "OK", "unnamed law: compensated")
-    finding = "unnamed law: not compensated, it changes more within a tick than the force"
+    assert model.unnamed_law is not None
+    why = "it has modes" if model.unnamed_law.modes else "it changes more within a tick than the force"
+    finding = f"unnamed law: not compensated, {why}"
     return Check("effects", "WARN", finding, f"compensation_without: [{UNNAMED}] says that this is known")
 
 

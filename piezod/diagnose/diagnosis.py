@@ -27,6 +27,7 @@ from piezod.diagnose.selection.search import OnProgress, search
 from piezod.diagnose.selection.search_state import Rivalry, Search
 from piezod.diagnose.selection.stated_hold import with_stated_hold
 from piezod.diagnose.selection.unnamed import FittedLaw, fit_unnamed
+from piezod.diagnose.selection.unnamed_dynamics import fit_unnamed_dynamics
 from piezod.diagnose.verdict.direct_findings import confirmed_frozen
 from piezod.diagnose.verdict.extended import with_error
 from piezod.diagnose.verdict.low_confidence import (
@@ -210,14 +211,19 @@ def with_unnamed_law(diagnosis: Diagnosis, diagnosed: Sequence[tuple[Source, Ser
         return diagnosis
     modelled = diagnosis.base if findings.after == findings.before else diagnosis.extended  # of the written model
     files = slice(len(diagnosis.series) - len(findings.recordings), None)  # without the substitute recording
-    fitted = fit_unnamed(diagnosis.series[files], modelled[files], findings.floor)
-    if fitted is None:
+    best: tuple[float, FittedLaw, Model, list[FreeRun]] | None = None
+    for fit_law in (fit_unnamed, fit_unnamed_dynamics):
+        if (tried := fit_law(diagnosis.series[files], modelled[files], findings.floor)) is None:
+            continue
+        since = "identification" if tried.already else "later"
+        with_law = model.model_copy(update={"unnamed_law": tried.law.model_copy(update={"since": since})})
+        runs = [free_run(with_law, *pair) for pair in diagnosed]
+        after = tared_rms(runs)
+        if after < RULES.better * (findings.after if best is None else best[0]):
+            best = after, tried, with_law, runs
+    if best is None:
         return diagnosis
-    with_law = model.model_copy(update={"unnamed_law": fitted.law})
-    runs = [free_run(with_law, *pair) for pair in diagnosed]
-    after = tared_rms(runs)
-    if after >= RULES.better * findings.after:
-        return diagnosis
+    after, fitted, with_law, runs = best
     extended = _readings_with_law(diagnosis.series, modelled, fitted, runs)
     residuals = residuals_of(diagnosis.series, extended)
     compared = [s.as_judged() for s in diagnosis.series]
@@ -260,6 +266,8 @@ def _law_finding(fitted: FittedLaw, model: Model) -> Unnamed:
         fitted.p,
         law.gain,
         "" if formula is None else formula.text(model.input.unit, model.output.unit, gain=law.gain),
+        tuple((mode.frequency_Hz, mode.damping_ratio) for mode in law.modes),
+        law.linear,
     )
 
 

@@ -211,12 +211,15 @@ class Unnamed:
     p: float  # probability that a useless law gains as much, over all candidates
     gain: bool = False  # whether it multiplies the stroke of the reading; otherwise it adds to the reading
     formula: str = ""  # short formula with units that predicts as well; empty: none
+    modes: tuple[tuple[float, float], ...] = ()  # natural frequency [Hz] and damping ratio [1] of each mode
+    linear: bool = False  # whether it is linear dynamics of the command
 
     def as_dict(self, unit: str) -> dict[str, Any]:
         """Entry in `findings.json`."""
         return {
             "drivers": list(self.drivers),
-            "form": "gain" if self.gain else "added",
+            "form": "gain" if self.gain else "linear" if self.linear else "added",
+            "modes": [{"frequency_Hz": frequency_Hz, "damping_ratio": ratio} for frequency_Hz, ratio in self.modes],
             "formula": self.formula or None,
             "memories_s": list(self.memories_s),
             "scope": "already" if self.already else "since",

@@ -28,7 +28,8 @@ def substitute_recording(model: Model) -> Series:
     u = varying_triangles(peak - min(model.input.low, 0.0), 0.1, 15, rate_Hz) + min(model.input.low, 0.0)
     time_s = np.arange(u.size) / rate_Hz
     temperature_C = np.zeros(u.size)  # constant; without it no thermal drift is tried
-    y = run_chain(as_identified(model), model.operator(), time_s, u, temperature_C=temperature_C)
+    identified = as_identified(model).model_copy(update={"unnamed_law": None})
+    y = run_chain(identified, model.operator(), time_s, u, temperature_C=temperature_C)
     errors = model.provenance.fit
     noise = errors.rms_fit or errors.rms_held_out or 1e-3 * float(np.ptp(y))
     return Series(
@@ -60,7 +61,9 @@ def with_tight_base(chain: Chain, first: Chain) -> Chain:
 def as_identified(model: Model) -> Model:
     """Given model without the effects and the law that appeared after its identification."""
     effects = tuple(effect for effect in model.effects if effect.since == "identification")
-    return model.model_copy(update={"effects": effects, "unnamed_law": None})
+    law = model.unnamed_law
+    kept = law if law is not None and law.since == "identification" else None
+    return model.model_copy(update={"effects": effects, "unnamed_law": kept})
 
 
 def chain_of(series: Sequence[Series], model: Model) -> tuple[Chain, Point]:

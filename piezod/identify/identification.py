@@ -14,6 +14,7 @@ from piezod.estimation.recordings.intake import OnStep
 from piezod.estimation.recordings.layout import entry_of
 from piezod.estimation.recordings.noise import Noise, noise_of
 from piezod.estimation.recordings.suitability import check_suitable, falls
+from piezod.identify.dynamics import beside_dynamics, dynamics_words
 from piezod.identify.options import Options
 from piezod.identify.order import Candidate
 from piezod.identify.selection import Selection, reduce_smooth_base, select_by_orders
@@ -24,6 +25,7 @@ from piezod.recording.names import unit_of
 
 LEAST_EXPLAINED = 0.5  # share of the output's variance that a useful model must explain
 STRUCTURED = 3.0  # error, in multiples of the noise, above which an unusable model still has structured residuals
+MOST_LEFT = 0.5  # largest error with linear dynamics, relative to that without, at which they are kept
 AT_THE_NOISE = 1.1  # error, in multiples of the noise, up to which no effect is missing: the noise is known to 5 %
 
 
@@ -143,13 +145,45 @@ def identify(
     stretch_notes = [note for stretch in selection.stretches for note in stretch.notes]
     model_notes = lines if options.by_orders else lines + stretch_notes
     model = _model(recordings, pairs, options, selection, by, sources, model_notes)
-    return Identification(
+    found = Identification(
         model,
         selection.candidates,
         selection.before_pruning,
         selection.chosen,
         [*lines, *stretch_notes, *_undetermined(selection.chosen)],
         _noise(recordings, [stretch.fitted for stretch in selection.stretches]),
+    )
+    if found.useful or options.by_orders:
+        return found
+    on_step("fitting linear dynamics", None)
+    return _with_dynamics(found, recordings, options) or found
+
+
+def _with_dynamics(static: Identification, recordings: Sequence[Recording], options: Options) -> Identification | None:
+    """Identification with linear dynamics beside the hysteresis; None: the error stays above half of the static one."""
+    pairs = [(r.channel(options.input), r.channel(options.output)) for r in recordings]
+    noise = static.noise.rms if static.noise is not None else static.chosen.rms_held_out
+    found = beside_dynamics(recordings, pairs, options, noise)
+    if found is None or found.selection.chosen.rms_held_out > MOST_LEFT * static.chosen.rms_held_out:
+        return None
+    selection = found.selection
+    provenance = static.model.provenance.model_copy(update={"fit": found.figures})
+    model = static.model.model_copy(
+        update={
+            "hysteresis": found.hysteresis,
+            "unnamed_law": found.law,
+            "start": _start(selection.stretches[0].fitted.path, at_rest=selection.stretches[0].at_rest),
+            "provenance": provenance,
+        }
+    )
+    note = f"no hysteresis alone explains the output: {dynamics_words(found.law)} beside it, with no steady gain"
+    return replace(
+        static,
+        model=model,
+        before_pruning=selection.before_pruning,
+        chosen=selection.chosen,
+        notes=[*static.notes, note],
+        noise=_noise(recordings, [stretch.fitted for stretch in selection.stretches]) or static.noise,
     )
 
 

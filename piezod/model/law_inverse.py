@@ -3,6 +3,8 @@
     F(k) = reference(k) - law(u(k), F(k)),   u(k) = plan(F(k))
 
 The iteration contracts while the law changes less within a tick than the force; otherwise the law is not compensated.
+Nor is a law with modes: behind a sampled mode the voltages that reach a reference may grow without end.
+K. J. Astrom, P. Hagander, J. Sternby (1984), Zeros of sampled systems, Automatica 20(1).
 """
 
 from collections.abc import Collection
@@ -98,14 +100,14 @@ class LawInverse:
 
 
 def law_inverse(model: Model, chain: TickChain, without: Collection[str] = ()) -> LawInverse | None:
-    """Inverse with the unnamed law of a model; None without a law, or where its iteration may not contract.
+    """Inverse with the unnamed law of a model; None without a law, with modes, or where its iteration may not contract.
 
     Parameters
     ----------
     without
         Names of effects that are deliberately not compensated.
     """
-    if model.unnamed_law is None or NAME in without:
+    if model.unnamed_law is None or model.unnamed_law.modes or NAME in without:
         return None
     law = LawStep(model.unnamed_law, chain.dt_s)
     over_command, over_reading = law.steepest(model.output.high - model.output.low)

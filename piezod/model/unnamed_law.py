@@ -4,17 +4,20 @@
     y = y_model + (y_model - start) * sum over m of lag_m(table_m(d1, d2))    as a gain of the reading's stroke
 
 One or two drivers d1, d2 are computed from the command and from the reading that the model expects. Each memory m has a
-table over their grid and is followed by a first-order lag; the first memory has none. The law bends with nothing that
-lies ahead, so it can be simulated, stepped and compensated. The form is a bank of first-order lags behind a static map
-(parallel Hammerstein model: M. Schoukens, K. Tiels (2017), Identification of block-oriented nonlinear systems starting
-from linear approximations: A survey, Automatica 85, arXiv:1607.01217).
+table over their grid and is followed by a first-order lag; the first memory has none. A mode is a lag with a complex
+pole s and complex tables, of which the real part is added; a mode alone is linear dynamics. The law bends with nothing
+that lies ahead, so it can be simulated and stepped, and without modes compensated. The form is a bank of lags behind a
+static map (parallel Hammerstein model: M. Schoukens, K. Tiels (2017), Identification of block-oriented nonlinear
+systems starting from linear approximations: A survey, Automatica 85, arXiv:1607.01217).
 """
 
+import cmath
 import math
 from typing import Annotated, Literal, Self, get_args
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from piezod.arrays import Array
@@ -51,13 +54,27 @@ class Axis(Section):
         return self
 
 
+class Mode(Section):
+    """Mode of an unnamed law: natural frequency and damping ratio, and its complex table as two rows at the nodes."""
+
+    frequency_Hz: Annotated[float, Field(gt=0)]
+    damping_ratio: Annotated[float, Field(gt=0, lt=1)]
+    real: Annotated[tuple[float, ...], Field(strict=False)]
+    imaginary: Annotated[tuple[float, ...], Field(strict=False)]
+
+    @property
+    def pole(self) -> complex:
+        """Pole in the upper half plane [1/s]."""
+        return 2.0 * math.pi * self.frequency_Hz * complex(-self.damping_ratio, math.sqrt(1.0 - self.damping_ratio**2))
+
+
 class UnnamedLaw(Section):
     """Tables of an unnamed law, in the unit of the output.
 
     `memories_s` are the time constants of the lags [s]; 0 is no lag. `tables` has one row for each of them: the values
     at the nodes, those of the last driver next to each other. The reversals that direction, way and stroke refer to are
     larger than `dead_band`, in the unit of the input. The rates are smoothed by a lag of `smoothing_s` [s]. With `gain`
-    the tables are [1], and multiply the expected reading less its first value.
+    the tables are [1], and multiply the expected reading less its first value. `since` is when the law appeared.
     """
 
     drivers: Annotated[tuple[Axis, ...], Field(strict=False, min_length=1, max_length=2)]
@@ -66,17 +83,63 @@ class UnnamedLaw(Section):
     memories_s: Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=12)]
     tables: Annotated[tuple[Annotated[tuple[float, ...], Field(strict=False)], ...], Field(strict=False, min_length=1)]
     gain: bool = False
+    since: Literal["identification", "later"] = "later"
+    modes: Annotated[tuple[Mode, ...], Field(strict=False, max_length=12)] = ()
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> Self:
-        nodes = int(np.prod([axis.nodes for axis in self.drivers]))
+        nodes = self.nodes
         if len(self.tables) != len(self.memories_s):
             raise ValueError(f"tables has {len(self.tables)} rows, must have one for each of {len(self.memories_s)}")
-        if wrong := next((len(row) for row in self.tables if len(row) != nodes), None):
+        rows = [*self.tables, *(row for mode in self.modes for row in (mode.real, mode.imaginary))]
+        if wrong := next((len(row) for row in rows if len(row) != nodes), None):
             raise ValueError(f"tables has a row of {wrong} values, must have {nodes}")
         if min(self.memories_s) < 0.0:
             raise ValueError(f"memories_s has {min(self.memories_s):g}, must be at least 0")
         return self
+
+    @property
+    def linear(self) -> bool:
+        """Whether it is linear dynamics of the command."""
+        return not self.gain and len(self.drivers) == 1 and self.drivers[0].driver == "command" and self.nodes == 2
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes of its grid."""
+        return int(np.prod([axis.nodes for axis in self.drivers]))
+
+    def response(self, frequencies_Hz: Array) -> NDArray[np.complex128]:
+        """Frequency response of linear dynamics, shape (F,) [output unit per input unit].
+
+        Parameters
+        ----------
+        frequencies_Hz
+            Shape (F,), 0 or above.
+        """
+        s, (axis,) = 2.0j * math.pi * frequencies_Hz, self.drivers
+        total: NDArray[np.complex128] = np.zeros(frequencies_Hz.size, np.complex128)
+        for memory_s, row in zip(self.memories_s, self.tables, strict=True):
+            total += complex(row[1] - row[0]) / (1.0 + s * memory_s)
+        for mode in self.modes:
+            gain = complex(mode.real[1] - mode.real[0], mode.imaginary[1] - mode.imaginary[0])
+            pair = gain / (1.0 - s / mode.pole) + gain.conjugate() / (1.0 - s / mode.pole.conjugate())
+            total += 0.5 * pair
+        response: NDArray[np.complex128] = total / (axis.high - axis.low)
+        return response
+
+    def decays(self, time_s: Array) -> Array:
+        """Decays of an unknown past in the readings, one of each lag and two of each mode, shape (N, K) [1].
+
+        Parameters
+        ----------
+        time_s
+            Times since the start, shape (N,) [s].
+        """
+        columns = [np.exp(-time_s / memory_s) for memory_s in self.memories_s if memory_s > 0.0]
+        for mode in self.modes:
+            past = np.exp(mode.pole * time_s)
+            columns += [past.real, past.imag]
+        return np.array(columns).reshape(-1, time_s.size).T
 
 
 @numba.njit(cache=True)
@@ -133,6 +196,26 @@ def _positions(driver: int, values: Array, low: float, high: float) -> Array:
 
 
 @numba.njit(cache=True)
+def behind_modes(signal: Array, keeps: NDArray[np.complex128]) -> Array:
+    """Real and imaginary parts of a signal behind each mode, shape (N, 2 M); a mode begins at rest.
+
+    Parameters
+    ----------
+    signal
+        Shape (N,).
+    keeps
+        Kept part of each mode in a sample, exp(pole dt), shape (M,).
+    """
+    behind = np.empty((signal.size, 2 * keeps.size))
+    for m in range(keeps.size):
+        state = complex(signal[0])
+        for k in range(signal.size):
+            state = keeps[m] * state + (1.0 - keeps[m]) * signal[k]
+            behind[k, 2 * m], behind[k, 2 * m + 1] = state.real, state.imag
+    return behind
+
+
+@numba.njit(cache=True)
 def lagged(columns: Array, keep: float) -> Array:
     """Columns behind a lag that begins at rest.
 
@@ -148,21 +231,32 @@ def lagged(columns: Array, keep: float) -> Array:
 
 
 @numba.njit(cache=True)
+def _between(row: Array, k: int, width: int, part: float, part2: float) -> float:
+    """Value of a table between its nodes, `part` and `part2` behind node k."""
+    here, there = row[k], row[k + width]
+    if width > 1:
+        here += part2 * (row[k + 1] - here)
+        there += part2 * (row[k + width + 1] - there)
+    value: float = here + part * (there - here)
+    return value
+
+
+@numba.njit(cache=True)
 def advance_law(state: Array, settings: Array, axes: Array, keeps: Array, tables: Array) -> float:
     """Value of the law for drivers that were advanced, and advance its lags.
 
     Parameters
     ----------
     state
-        `STATES` drivers, then the state of each lag; it changes.
+        `STATES` drivers, then real and imaginary part of the state of each lag; it changes.
     settings
         Result of `settings_of`.
     axes
         Driver, low, high and nodes of each axis, shape (1 or 2, 4).
     keeps
-        Kept part of each lag in a sample; 0: no lag, shape (M,).
+        Real and imaginary kept part of each lag in a sample; 0: no lag, shape (M, 2).
     tables
-        Shape (M, nodes).
+        Real and imaginary table of each lag, shape (2 M, nodes).
     """
     begins, state[STARTED] = state[STARTED] == 1.0, 2.0
     place = position(int(axes[0, 0]), state[int(axes[0, 0])], axes[0, 1], axes[0, 2]) * (axes[0, 3] - 1.0)
@@ -175,15 +269,18 @@ def advance_law(state: Array, settings: Array, axes: Array, keeps: Array, tables
         second = min(int(place), width - 2)
         part2 = place - second
     total = 0.0
-    for m in range(keeps.size):
-        k = first * width + second
-        here, there = tables[m, k], tables[m, k + width]
-        if width > 1:
-            here += part2 * (tables[m, k + 1] - here)
-            there += part2 * (tables[m, k + width + 1] - there)
-        now = here + part * (there - here)
-        state[STATES + m] = now if begins else keeps[m] * state[STATES + m] + (1.0 - keeps[m]) * now
-        total += state[STATES + m]
+    for m in range(keeps.shape[0]):
+        real = _between(tables[2 * m], first * width + second, width, part, part2)
+        imaginary = 0.0
+        if keeps[m, 1] != 0.0:
+            imaginary = _between(tables[2 * m + 1], first * width + second, width, part, part2)
+        at = STATES + 2 * m
+        if not begins:  # state = keep state + (1 - keep) now, in complex numbers
+            past, quadrature = state[at] - real, state[at + 1] - imaginary
+            real += keeps[m, 0] * past - keeps[m, 1] * quadrature
+            imaginary += keeps[m, 0] * quadrature + keeps[m, 1] * past
+        state[at], state[at + 1] = real, imaginary
+        total += real
     return total * (state[READING] - state[ORIGIN]) if settings[3] > 0.0 else total
 
 
@@ -212,11 +309,13 @@ class LawStep:
 
     def __init__(self, law: UnnamedLaw, dt_s: float) -> None:
         self._axes = np.array([[DRIVERS.index(one.driver), one.low, one.high, one.nodes] for one in law.drivers])
-        memories = np.array(law.memories_s)
-        self._keeps = np.where(memories > 0.0, np.exp(-dt_s / np.maximum(memories, 1e-300)), 0.0)
-        self._tables = np.array(law.tables)
+        keeps = [complex(math.exp(-dt_s / one) if one > 0.0 else 0.0) for one in law.memories_s]
+        keeps += [cmath.exp(mode.pole * dt_s) for mode in law.modes]
+        rows = [(row, (0.0,) * len(row)) for row in law.tables] + [(mode.real, mode.imaginary) for mode in law.modes]
+        self._keeps = np.array([(keep.real, keep.imag) for keep in keeps])
+        self._tables = np.array([row for pair in rows for row in pair])
         self._settings = settings_of(law.dead_band, law.smoothing_s, dt_s, gain=law.gain)
-        self._state = np.zeros(STATES + memories.size)
+        self._state = np.zeros(STATES + 2 * len(keeps))
 
     def reset(self) -> None:
         """Return to rest at the next sample."""
@@ -257,16 +356,20 @@ class LawStep:
             axis = Axis(driver=DRIVERS[kind], low=low, high=high, nodes=int(nodes))
             spacing = np.diff(node_values(axis)).reshape([-1 if one == place else 1 for one in range(shape.size)])
             total = 0.0
-            for keep, table in zip(self._keeps, self._tables, strict=True):
+            for keep, table in zip(self._keeps @ (1.0, 1.0j), self._complex_tables(), strict=True):
                 change = np.diff(table.reshape(shape), axis=place) / spacing
-                total += (1.0 - keep) * float(np.abs(change).max())
+                total += abs(1.0 - keep) * float(np.abs(change).max())
             if kind in (RATE, READING_RATE):
                 total *= (1.0 - self._settings[1]) / self._settings[2]
             slopes[READING if kind in (READING, READING_RATE) else COMMAND] += total
         if self._settings[3] > 0.0:
             slopes = {kind: span * slope for kind, slope in slopes.items()}
-            slopes[READING] += float(np.abs(self._tables).max(axis=1).sum())
+            slopes[READING] += float(np.abs(self._complex_tables()).max(axis=1).sum())
         return slopes[COMMAND], slopes[READING]
+
+    def _complex_tables(self) -> NDArray[np.complex128]:
+        tables: NDArray[np.complex128] = self._tables[::2] + 1j * self._tables[1::2]
+        return tables
 
     def run(self, command: Array, reading: Array) -> Array:
         """The same for many samples, shape (N,)."""

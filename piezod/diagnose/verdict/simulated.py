@@ -127,8 +127,8 @@ class GivenRuns:
         runs = [free_run(by_role[source.role], source, prepared) for source, prepared in pairs]
         without_law: list[FreeRun] = []
         if model.unnamed_law is not None:
-            by_role["recording"] = model.model_copy(update={"unnamed_law": None})
-            without_law = [free_run(by_role[source.role], source, prepared) for source, prepared in pairs]
+            plain = {role: one.model_copy(update={"unnamed_law": None}) for role, one in by_role.items()}
+            without_law = [free_run(plain[source.role], source, prepared) for source, prepared in pairs]
         return cls(runs, [pair for pair in pairs if pair[0].role == "recording"], without_law)
 
     @property

@@ -103,7 +103,7 @@ def run_chain(
 
 
 def decays_of(model: Model, time_s: Array, sha256: str | None = None) -> list[Array]:
-    """Decays of an unknown past in the readings, for each effect with a long memory; shape (N, columns) [1].
+    """Decays of an unknown past in the readings, of each effect with a long memory and of the law; (N, columns) [1].
 
     Parameters
     ----------
@@ -114,7 +114,8 @@ def decays_of(model: Model, time_s: Array, sha256: str | None = None) -> list[Ar
     """
     context = _context(model, time_s, time_s)  # the decays depend on no voltage
     acting = [(effect.past, values) for effect, values in acting_in(model, sha256)]
-    return [past.columns(context, values) for past, values in acting if past is not None]
+    columns = [past.columns(context, values) for past, values in acting if past is not None]
+    return columns if model.unnamed_law is None else [*columns, model.unnamed_law.decays(time_s - time_s[0])]
 
 
 def _spacing_s(time_s: Array) -> float:

@@ -169,13 +169,14 @@ def _law(page: _Page) -> str:
         return ""
     plot, columns = law_figure(law, page.units)
     sentence = html.escape(law_sentence(finding, page.diagnosis.findings))
-    figure = page.add("unnamed_law", [plot], columns, _GAIN if law.gain else _LAW)
+    figure = page.add("unnamed_law", [plot], columns, _GAIN if law.gain else _DYNAMICS if law.linear else _LAW)
     return f"<p>{sentence}</p>{figure}"
 
 
 _GAIN = (
     "Gain of what the reading has moved from its start, while the drivers keep their values and memories have settled."
 )
+_DYNAMICS = "What the dynamics add to the reading for a sine of the command, for each unit of its amplitude."
 _LAW = "What the law adds to the reading while its drivers keep their values, after its memories have settled."
 
 _HELD_OUT = (

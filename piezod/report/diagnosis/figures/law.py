@@ -29,6 +29,8 @@ def law_figure(law: UnnamedLaw, units: tuple[str, str]) -> tuple[figure, dict[st
     units
         Units of command and output.
     """
+    if law.linear:
+        return _response_figure(law, units)
     first, *more = law.drivers
     steady = np.sum(law.tables, axis=0).reshape(first.nodes, -1)
     columns: dict[str, Array] = {first.driver: node_values(first)}
@@ -40,6 +42,20 @@ def law_figure(law: UnnamedLaw, units: tuple[str, str]) -> tuple[figure, dict[st
     source = column_source(columns)
     for colour, name in zip(COLOURS, list(columns)[1:], strict=False):
         draw_curve(plot, source, name, name, colour, x=first.driver, width=2.0)
+    return finish(plot), columns
+
+
+def _response_figure(law: UnnamedLaw, units: tuple[str, str]) -> tuple[figure, dict[str, Array]]:
+    """Gain of linear dynamics over frequency, and its columns."""
+    corners_Hz = [1.0 / (2.0 * np.pi * one) for one in law.memories_s if one > 0.0]
+    corners_Hz += [mode.frequency_Hz for mode in law.modes]
+    around_Hz = [mode.frequency_Hz * (1.0 + mode.damping_ratio * np.linspace(-5.0, 5.0, 41)) for mode in law.modes]
+    wide_Hz = np.geomspace(0.1 * min(corners_Hz), 10.0 * max(corners_Hz), 200)
+    frequency_Hz = np.unique(np.concatenate([wide_Hz, *around_Hz]))
+    frequency_Hz = frequency_Hz[frequency_Hz >= wide_Hz[0]]
+    columns: dict[str, Array] = {"frequency": frequency_Hz, "gain": np.abs(law.response(frequency_Hz))}
+    plot = new_figure("", "frequency [Hz]", f"gain [{units[1]}/{units[0]}]", 300, x_axis="log")
+    draw_curve(plot, column_source(columns), "gain", "gain", BLUE, x="frequency", width=2.0)
     return finish(plot), columns
 
 

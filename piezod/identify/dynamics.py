@@ -1,0 +1,129 @@
+"""Linear dynamics beside the hysteresis, where a drive through several modes or filters leaves no usable static model.
+
+The hysteresis is fitted to the readings less the dynamics, and the dynamics to the readings less the hysteresis, in
+turn. The steady gain belongs to the hysteresis: the dynamics have none.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezod.arrays import Array
+from piezod.estimation.fit.linear_dynamics import Driven, LinearDynamics, fit_linear_dynamics
+from piezod.estimation.recordings.unknown_past import fitted_past
+from piezod.identify.options import Options
+from piezod.identify.order import residual
+from piezod.identify.selection import Selection, reduce_smooth_base
+from piezod.model.parameters import FitFigures, Hysteresis
+from piezod.model.unnamed_law import Axis, LawStep, UnnamedLaw
+from piezod.recording import Recording
+
+ROUNDS = 3  # fits of dynamics and hysteresis in turn
+LEAST_POLES = 2  # one pole is a resonance, a lag or a filter of the catalogue, which a diagnosis names
+LEAST_EXPLAINED = 0.5  # least share of the squared readings, on left-out folds, that the dynamics must predict
+
+
+@dataclass(frozen=True)
+class BesideDynamics:
+    """Linear dynamics, the hysteresis beside them, and figures of both together."""
+
+    law: UnnamedLaw
+    selection: Selection
+    hysteresis: Hysteresis
+    figures: FitFigures
+
+
+def beside_dynamics(
+    recordings: Sequence[Recording], pairs: Sequence[tuple[Array, Array]], options: Options, noise: float
+) -> BesideDynamics | None:
+    """Hysteresis and linear dynamics; None if the dynamics explain too little, or are one pole.
+
+    Parameters
+    ----------
+    pairs
+        Input and output of each recording, shape (N,); nan where missing.
+    noise
+        Noise of a reading, or any positive number where it is unknown [output unit].
+    """
+    static = [np.zeros(u.size) for u, _ in pairs]
+    result: BesideDynamics | None = None
+    for _ in range(ROUNDS):
+        driven = [_driven(r, u, y - s, noise) for r, (u, y), s in zip(recordings, pairs, static, strict=True)]
+        found = fit_linear_dynamics(driven)
+        if found is None or (result is None and not _enough(found)):
+            return result
+        law = _law(replace(found, direct=-float(found.gains.real.sum())), driven)
+        rest = [_without(law, r, u, y) for r, (u, y) in zip(recordings, pairs, strict=True)]
+        selection = reduce_smooth_base(recordings, [(u, y) for (u, _), y in zip(pairs, rest, strict=True)], options)
+        if result is not None and selection.chosen.rms_held_out >= result.selection.chosen.rms_held_out:
+            return result
+        fit = selection.chosen.fit
+        assert fit is not None
+        figures = _relative_to(selection.figures, np.concatenate([y[np.isfinite(y)] for _, y in pairs]))
+        result = BesideDynamics(law, selection, fit.hysteresis, figures)
+        samples = [stretch.fitted for stretch in selection.stretches]
+        if any(one.y.size != s.size for one, s in zip(samples, static, strict=True)):
+            return result  # a part of a recording was left out, so the hysteresis is not known over all of it
+        static = [one.y - residual(fit.hysteresis.operator(), one) for one in samples]
+    return result
+
+
+def dynamics_words(law: UnnamedLaw) -> str:
+    """Clause about linear dynamics: modes and lags."""
+    modes = sorted((mode.frequency_Hz, mode.damping_ratio) for mode in law.modes)
+    words = [f"a mode at {frequency_Hz:.3g} Hz (damping {ratio:.2g})" for frequency_Hz, ratio in modes]
+    words += [f"a lag of {memory_s:.3g} s" for memory_s in law.memories_s if memory_s > 0.0]
+    return "linear dynamics with " + ", ".join(words)
+
+
+def _enough(found: LinearDynamics) -> bool:
+    return found.poles.size >= LEAST_POLES and found.explained >= LEAST_EXPLAINED
+
+
+def _relative_to(figures: FitFigures, measured: Array) -> FitFigures:
+    """Figures whose fit refers to the measured readings."""
+    spread = float(np.std(measured))
+    return figures.model_copy(
+        update={
+            f"nrmse_percent_{part}": 100.0 * (1.0 - (getattr(figures, f"rms_{part}") or 0.0) / spread)
+            for part in ("fit", "held_out")
+        }
+    )
+
+
+def _law(found: LinearDynamics, driven: Sequence[Driven]) -> UnnamedLaw:
+    """Linear dynamics as an unnamed law of the command."""
+    commands = np.concatenate([one.command for one in driven])
+    low, high = float(commands.min()), float(commands.max())
+    memories_s, rows, modes = found.tables((low, high))
+    return UnnamedLaw(
+        drivers=(Axis(driver="command", low=low, high=high, nodes=2),),
+        dead_band=1e-6 * (high - low),
+        smoothing_s=max(one.dt_s for one in driven),
+        memories_s=tuple(memories_s),
+        tables=tuple(tuple(row) for row in rows),
+        modes=tuple(modes),
+        since="identification",
+    )
+
+
+def _without(law: UnnamedLaw, recording: Recording, u: Array, y: Array) -> Array:
+    """Readings less the dynamics, and less what an unknown past of them leaves, shape (N,)."""
+    command = _filled(recording, u)
+    rest = y - LawStep(law, recording.dt_s).run(command, command)
+    known = np.isfinite(rest)
+    static = np.polynomial.Polynomial.fit(command[known], rest[known], 1)
+    less: Array = rest - fitted_past(rest - static(command), law.decays(recording.time_s - recording.time_s[0]))
+    return less
+
+
+def _driven(recording: Recording, u: Array, rest: Array, noise: float) -> Driven:
+    counts = np.isfinite(u) & np.isfinite(rest)
+    return Driven(_filled(recording, u), np.where(counts, rest, 0.0), counts, recording.dt_s, noise)
+
+
+def _filled(recording: Recording, values: Array) -> Array:
+    """Values with missing ones interpolated."""
+    known = np.isfinite(values)
+    return np.interp(recording.time_s, recording.time_s[known], values[known])
