@@ -10,9 +10,9 @@ from threadpoolctl import threadpool_limits
 from piezod.arrays import Array
 from piezod.diagnose.adequacy.guard import explainable
 from piezod.diagnose.adequacy.remainder import motion_of
-from piezod.diagnose.adequacy.unrecorded import unrecorded_input
+from piezod.diagnose.adequacy.unrecorded import CERTAIN, unrecorded_input
 from piezod.diagnose.candidates.tones import with_tones
-from piezod.diagnose.findings import Unnamed, Verdict
+from piezod.diagnose.findings import UNKNOWN, Unnamed, Verdict
 from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.monotone import is_monotone, monotone_fit
 from piezod.diagnose.judgement import Diagnosis, DiagnosisInputs, diagnosed_nrmse_percent, residuals_of, with_words
@@ -51,6 +51,8 @@ from piezod.model.unnamed_law import LawStep
 
 WITHOUT_NOISE: dict[Verdict, Verdict] = {"matches": "not_testable", "explained": "partly_explained"}
 """Verdict if the noise is unknown: then nothing shows that the residual is noise."""
+MISSED: dict[Verdict, Verdict] = {"matches": "unexplained", "explained": "partly_explained"}
+"""Verdict if an unrecorded input was taken for noise."""
 WITHOUT_INFORMATION = (
     "the model file states no information on its parameters, as in files of older versions, and no recording of its "
     "identification is there; the model's own simulation replaces them"
@@ -122,7 +124,9 @@ def _diagnosed(
     if diagnosis.findings.verdict in ("unexplained", "partly_explained") and not result.ended_early:
         progress("looking for a law without a name", None)
         diagnosis = with_unrecorded_input(with_unnamed_law(diagnosis, inputs.given_runs.diagnosed))
-    return diagnosis if diagnosis.findings.noise_is_known else _with_unknown_noise(diagnosis)
+    if not diagnosis.findings.noise_is_known:
+        return _with_unknown_noise(diagnosis)
+    return with_unrecorded_gain(diagnosis)
 
 
 def _ended_early(result: Search) -> str:
@@ -197,6 +201,24 @@ def with_unrecorded_input(diagnosis: Diagnosis) -> Diagnosis:
     unrecorded = unrecorded_input(compared, residuals, diagnosis.extended, findings.explainable)
     findings = with_words(replace(findings, unrecorded=unrecorded), diagnosis.model)
     return replace(diagnosis, findings=findings)
+
+
+def with_unrecorded_gain(diagnosis: Diagnosis) -> Diagnosis:
+    """Diagnosis of an unrecorded input that acts as a gain, where the model seems to match.
+
+    Such an input differs between repeats of the command, which takes it for noise. But it keeps its value for many
+    samples and grows with the force, as no noise of a sensor does.
+    """
+    findings = diagnosis.findings
+    if findings.verdict not in MISSED:
+        return diagnosis
+    residuals, compared = residuals_of(diagnosis.series, diagnosis.extended), [s.as_judged() for s in diagnosis.series]
+    unrecorded = unrecorded_input(compared, residuals, diagnosis.extended, findings.explainable, CERTAIN)
+    if unrecorded is None or not unrecorded.gain:
+        return diagnosis
+    verdict, floor = MISSED[findings.verdict], min(unrecorded.fast, findings.floor)
+    findings = replace(findings, verdict=verdict, unrecorded=unrecorded, floor=floor, floor_from=UNKNOWN)
+    return replace(diagnosis, findings=with_words(findings, diagnosis.model))
 
 
 def with_unnamed_law(diagnosis: Diagnosis, diagnosed: Sequence[tuple[Source, Series]]) -> Diagnosis:

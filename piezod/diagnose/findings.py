@@ -204,7 +204,7 @@ class Unnamed:
     """Unnamed law: its drivers, memory and errors."""
 
     drivers: tuple[str, ...]  # one or two of `piezod.model.unnamed_law.DRIVERS`
-    memories_s: tuple[float, ...]  # shortest and longest relevant memory [s]; empty: none
+    memories_s: tuple[float, ...]  # shortest and longest relevant memory, or lags of linear dynamics [s]
     already: bool  # whether it also holds in the identification recordings
     before: float  # before, after: rms error on left-out blocks without and with the law [output unit]
     after: float
@@ -235,6 +235,7 @@ class Unrecorded:
     size: float  # rms of the gain [1], or rms added to the reading [output unit]
     gain: bool
     keeps_s: float  # duration for which it keeps its value [s]
+    fast: float = 0.0  # rms of the fast part of the residual, an upper bound of the noise [output unit]
 
     def as_dict(self, unit: str) -> dict[str, Any]:
         """Entry in `findings.json`."""

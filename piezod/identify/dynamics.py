@@ -69,14 +69,6 @@ def beside_dynamics(
     return result
 
 
-def dynamics_words(law: UnnamedLaw) -> str:
-    """Clause about linear dynamics: modes and lags."""
-    modes = sorted((mode.frequency_Hz, mode.damping_ratio) for mode in law.modes)
-    words = [f"a mode at {frequency_Hz:.3g} Hz (damping {ratio:.2g})" for frequency_Hz, ratio in modes]
-    words += [f"a lag of {memory_s:.3g} s" for memory_s in law.memories_s if memory_s > 0.0]
-    return "linear dynamics with " + ", ".join(words)
-
-
 def _enough(found: LinearDynamics) -> bool:
     return found.poles.size >= LEAST_POLES and found.explained >= LEAST_EXPLAINED
 

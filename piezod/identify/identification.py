@@ -10,11 +10,12 @@ import numpy as np
 from piezod.arrays import Array
 from piezod.errors import UsageError
 from piezod.estimation.fit.columns import Samples
+from piezod.estimation.fit.linear_dynamics import dynamics_words
 from piezod.estimation.recordings.intake import OnStep
 from piezod.estimation.recordings.layout import entry_of
 from piezod.estimation.recordings.noise import Noise, noise_of
 from piezod.estimation.recordings.suitability import check_suitable, falls
-from piezod.identify.dynamics import beside_dynamics, dynamics_words
+from piezod.identify.dynamics import beside_dynamics
 from piezod.identify.options import Options
 from piezod.identify.order import Candidate
 from piezod.identify.selection import Selection, reduce_smooth_base, select_by_orders
@@ -176,7 +177,9 @@ def _with_dynamics(static: Identification, recordings: Sequence[Recording], opti
             "provenance": provenance,
         }
     )
-    note = f"no hysteresis alone explains the output: {dynamics_words(found.law)} beside it, with no steady gain"
+    modes = [(mode.frequency_Hz, mode.damping_ratio) for mode in found.law.modes]
+    parts = dynamics_words(modes, [one for one in found.law.memories_s if one > 0.0])
+    note = f"no hysteresis alone explains the output: linear dynamics beside it, with no steady gain: {parts}"
     return replace(
         static,
         model=model,

@@ -1,6 +1,6 @@
 """The model of a bench: its file, its forward chain and its inverse."""
 
-from piezod.model.chain.acting import acting_effects, refuse_uncompensated
+from piezod.model.chain.acting import acting_effects, refuse_uncompensated, without_inverse
 from piezod.model.chain.forward import decays_of, run_chain
 from piezod.model.compensator import Compensator, DirectDrive, make_compensator
 from piezod.model.extended_compensator import ExtendedCompensator
@@ -25,4 +25,5 @@ __all__ = [
     "run_chain",
     "save_model",
     "steady_range",
+    "without_inverse",
 ]

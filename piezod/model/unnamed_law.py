@@ -108,22 +108,24 @@ class UnnamedLaw(Section):
         """Number of nodes of its grid."""
         return int(np.prod([axis.nodes for axis in self.drivers]))
 
-    def response(self, frequencies_Hz: Array) -> NDArray[np.complex128]:
-        """Frequency response of linear dynamics, shape (F,) [output unit per input unit].
+    def response(self, frequencies_Hz: Array, dt_s: float) -> NDArray[np.complex128]:
+        """Frequency response of linear dynamics that step once a sample, shape (F,) [output unit per input unit].
 
         Parameters
         ----------
         frequencies_Hz
-            Shape (F,), 0 or above.
+            Shape (F,), 0 to half the sampling rate.
         """
-        s, (axis,) = 2.0j * math.pi * frequencies_Hz, self.drivers
+        (axis,), before = self.drivers, np.exp(-2.0j * math.pi * frequencies_Hz * dt_s)
         total: NDArray[np.complex128] = np.zeros(frequencies_Hz.size, np.complex128)
         for memory_s, row in zip(self.memories_s, self.tables, strict=True):
-            total += complex(row[1] - row[0]) / (1.0 + s * memory_s)
+            keep = math.exp(-dt_s / memory_s) if memory_s > 0.0 else 0.0
+            total += complex(row[1] - row[0]) * (1.0 - keep) / (1.0 - keep * before)
         for mode in self.modes:
             gain = complex(mode.real[1] - mode.real[0], mode.imaginary[1] - mode.imaginary[0])
-            pair = gain / (1.0 - s / mode.pole) + gain.conjugate() / (1.0 - s / mode.pole.conjugate())
-            total += 0.5 * pair
+            kept = cmath.exp(mode.pole * dt_s)
+            for one, own in ((gain, kept), (gain.conjugate(), kept.conjugate())):  # the real part of the state
+                total += 0.5 * one * (1.0 - own) / (1.0 - own * before)
         response: NDArray[np.complex128] = total / (axis.high - axis.low)
         return response
 

@@ -13,6 +13,7 @@ from piezod.identify.identification import Identification
 from piezod.identify.order import Candidate
 from piezod.identify.simulation import simulate
 from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
+from piezod.model import without_inverse
 from piezod.recording import Recording
 from piezod.report.dynamics import dynamics
 from piezod.report.figures.layout import decimated, finish_figure
@@ -101,6 +102,7 @@ def next_after(identification: Identification, recordings: Sequence[Path], model
         explained=identification.explained,
         noises=None if noise is None or not noise.rms else identification.chosen.rms_held_out / noise.rms,
         drives_a_bench=(plant.input.unit, plant.output.unit) == ("V", "N") and not plant.output.channel.startswith("-"),
+        refused=without_inverse(plant),
     )
 
 

@@ -77,7 +77,7 @@ class FittedLaw:
     p
         Probability that a useless law gains as much, over all candidates.
     memories_s
-        Shortest and longest relevant memory [s]; empty: none.
+        Shortest and longest relevant memory, or every lag of linear dynamics [s]; empty: none.
     already
         Whether it also holds in the identification recordings.
     formula

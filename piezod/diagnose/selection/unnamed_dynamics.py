@@ -51,8 +51,8 @@ def fit_unnamed_dynamics(series: Sequence[Series], modelled: Sequence[Array], fl
     if p > SIGNIFICANT or before**2 - after**2 < LEAST * max(before**2 - floor**2, 0.0):
         return None
     law = _law(chosen, series, [series[k] for k in diagnosed])
-    lags_s = [one for one in law.memories_s if one > 0.0]
-    return FittedLaw(law, before, after, p, (min(lags_s), max(lags_s)) if lags_s else (), already, None)
+    lags_s = tuple(one for one in law.memories_s if one > 0.0)
+    return FittedLaw(law, before, after, p, lags_s, already, None)
 
 
 def _law(dynamics: LinearDynamics, series: Sequence[Series], diagnosed: Sequence[Series]) -> UnnamedLaw:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from piezod.diagnose.findings import Base, Finding, Place, UnchangedEffect, Unnamed, Unrecorded, Value
 from piezod.effects import EFFECTS
+from piezod.estimation.fit.linear_dynamics import dynamics_words
 
 AXES = {
     "time_s": ("time", "s"),
@@ -227,7 +228,7 @@ def unchanged_words(effects: Sequence[UnchangedEffect]) -> str:
 def law_words(law: Unnamed) -> str:
     """Clause about an unnamed law: drivers, memory, modes and formula."""
     if law.linear:
-        return f"linear dynamics without a name: {_dynamics_words(law)}"
+        return f"linear dynamics without a name: {dynamics_words(law.modes, law.memories_s)}"
     drivers = listed([DRIVERS[name] for name in law.drivers])
     if not law.memories_s:
         memory = "without memory"
@@ -237,16 +238,6 @@ def law_words(law: Unnamed) -> str:
     form = "gain that depends on" if law.gain else "law of"
     formula = f", nearly {law.formula}" if law.formula else ""
     return f"an unnamed {form} {drivers}, {memory}{formula}"
-
-
-def _dynamics_words(law: Unnamed) -> str:
-    """Modes and lags of linear dynamics."""
-    modes = [f"{rounded(frequency_Hz)} Hz (damping {rounded(ratio, 2)})" for frequency_Hz, ratio in sorted(law.modes)]
-    parts = [f"{'modes' if len(modes) > 1 else 'a mode'} at {listed(modes)}"] if modes else []
-    if law.memories_s:
-        low, high = law.memories_s
-        parts.append(f"a lag of {rounded(low)} s" if low == high else f"lags of {rounded(low)} to {rounded(high)} s")
-    return listed(parts)
 
 
 def unrecorded_words(unrecorded: Unrecorded, unit: str) -> str:

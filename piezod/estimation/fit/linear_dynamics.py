@@ -31,7 +31,7 @@ FASTEST = 0.5  # shortest time constant [samples of the start]; a faster one is 
 LONGEST, LONGEST_RINGING = 0.5, 0.1
 """Longest time constant of a lag, and of a mode, relative to the recording: a mode that rings longer is a tone."""
 MOST_DAMPED = 0.999  # damping ratio of a mode; a pair beyond it is two lags
-FOLDS, PIECES = 4, 5  # contiguous folds of each recording, and pieces of a fold whose errors are told
+FOLDS, PIECES = 4, 5  # contiguous folds of each recording, and pieces of a fold with an error each
 SIMPLER = 0.9  # largest ratio of the squared errors of left-out folds at which more poles are taken
 PATIENCE = 2  # larger numbers of poles that predict no better before the search ends: a mode may need two more
 STEPS, SMALL, FALL = 20, 1e-5, 1e-4  # Gauss-Newton: steps, relative difference of a pole, least relative fall of a step
@@ -150,6 +150,21 @@ def fit_linear_dynamics(recordings: Sequence[Driven]) -> LinearDynamics | None:
         if worse == PATIENCE:
             break
     return chosen if chosen is not None and chosen.explained > 0.0 else None
+
+
+def dynamics_words(modes: Sequence[tuple[float, float]], lags_s: Sequence[float]) -> str:
+    """Enumeration of modes and lags.
+
+    Parameters
+    ----------
+    modes
+        Natural frequency [Hz] and damping ratio [1] of each mode.
+    lags_s
+        Time constants [s].
+    """
+    words = [f"a mode at {frequency_Hz:.3g} Hz (damping {ratio:.2g})" for frequency_Hz, ratio in sorted(modes)]
+    words += [f"a lag of {lag_s:.3g} s" for lag_s in sorted(lags_s)]
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
 def _starts(recordings: Sequence[Driven]) -> list[Poles]:

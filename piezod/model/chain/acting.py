@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping
 from piezod.effects import EFFECTS, Effect
 from piezod.errors import ModelError
 from piezod.model.parameters import Model
+from piezod.model.unnamed_law import NAME
 
 ActingEffects = Mapping[str, Mapping[str, float]]
 """Parameter values of the effects that act on a drive, by the name of the effect."""
@@ -22,6 +23,12 @@ def acting_effects(model: Model, without: Collection[str] = ()) -> ActingEffects
     """
     acting = {entry.name: entry.parameters for entry in model.effects if entry.recording is None}
     return {name: acting[name] for name in EFFECTS if name in acting and name not in without}
+
+
+def without_inverse(model: Model) -> list[str]:
+    """Names of acting effects that cannot be compensated, and of an unnamed law with modes."""
+    names = [name for name in acting_effects(model) if EFFECTS[name].handling == "refused"]
+    return [*names, NAME] if model.unnamed_law is not None and model.unnamed_law.modes else names
 
 
 def acting_in(model: Model, sha256: str | None) -> list[tuple[Effect, Mapping[str, float]]]:

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from piezod.diagnose.judgement import Diagnosis
-from piezod.effects import EFFECTS
-from piezod.model import acting_effects
+from piezod.model import without_inverse
 from piezod.report.next_step import NextStep, after_diagnose
 
 
@@ -27,7 +26,7 @@ def next_after(
         recordings,
         model,
         folder,
-        refused=[name for name in acting_effects(written) if EFFECTS[name].handling == "refused"],
+        refused=without_inverse(written),
         bench=bench,
         drives_a_bench=(written.input.unit, written.output.unit) == ("V", "N"),
     )

@@ -29,6 +29,7 @@ def after_identify(
     noises: float | None,
     explained: float = 1.0,
     drives_a_bench: bool = True,
+    refused: Iterable[str] = (),
 ) -> NextStep:
     """Whether the model is usable, and the next recording or run.
 
@@ -44,6 +45,8 @@ def after_identify(
         Explained share of the variance on held-out data [1].
     drives_a_bench
         Whether the model leads from volts to newtons.
+    refused
+        Parts of the model that have no inverse.
     """
     folder = model.with_name(f"{model.stem}-diagnosis")
     diagnosis = command("diagnose", *recordings, "--model", model, "-o", folder)
@@ -75,8 +78,8 @@ def after_identify(
         command("record", BENCH, "--excitation", RICH, "-o", "later.csv"),
         command("diagnose", "later.csv", "--model", model, "-o", folder),
     )
-    words = "usable, at the noise; drive the bench with it, and record and diagnose again when it changes"
-    return NextStep(words, drive, (model_line(model),))
+    words, lines = _with_refused("usable, at the noise; drive the bench with it", [model_line(model)], list(refused))
+    return NextStep(f"{words}; record and diagnose again when it changes", drive, tuple(lines))
 
 
 def after_simulate(recording: Path, model: Path, *, error: float | None, noise: float | None) -> NextStep:
@@ -173,12 +176,7 @@ def after_diagnose(
     if not drives_a_bench:
         later = command("simulate", LATER, "--model", written, "-o", "simulated.csv")
         return NextStep("use the written model", (later,))
-    lines, without = [model_line(written)], list(refused)
-    words = "drive with the written model"
-    if without:
-        lines.append(f"compensation_without: [{', '.join(without)}]")
-        have = "has" if len(without) == 1 else "have"
-        words += f"; {' and '.join(without)} {have} no inverse and cannot be driven, so leave that out knowingly"
+    words, lines = _with_refused("drive with the written model", [model_line(written)], list(refused))
     run: tuple[str, ...] = (command("check", bench or BENCH), command("run", bench or BENCH, "--arm"))
     if bench is not None:  # its daemon runs, and does not change its model by itself
         run = (*(command(verb, bench) for verb in ("check", "disarm", "reload", "arm")),)
@@ -189,6 +187,15 @@ def after_diagnose(
         words += "; more is left, the planned drive shows more of it"
         run = (*run, *plan)
     return NextStep(words, run, tuple(lines))
+
+
+def _with_refused(words: str, lines: list[str], without: Sequence[str]) -> tuple[str, list[str]]:
+    """Advice and lines of the bench file, with what cannot be compensated."""
+    if not without:
+        return words, lines
+    have = "has" if len(without) == 1 else "have"
+    said = f"{words}; {' and '.join(without)} {have} no inverse and cannot be driven, so leave that out knowingly"
+    return said, [*lines, f"compensation_without: [{', '.join(without)}]"]
 
 
 def _planned_drive(recordings: Sequence[Path], model: Path, bench: Path | None) -> tuple[str, ...]:

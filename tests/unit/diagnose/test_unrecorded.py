@@ -40,7 +40,7 @@ def test_a_gain_that_somebody_turns(work_N, rng, every, size):
     assert found.gain
     assert found.size == pytest.approx(size / np.sqrt(3.0), rel=0.25)  # uniform between both ends
     dt_s = time(2)[1]
-    assert found.keeps_s == pytest.approx(0.5 * every * dt_s, rel=0.35)
+    assert found.keeps_s == pytest.approx(every * dt_s, rel=0.35)
 
 
 def test_a_second_actuator_beside_the_stack(work_N, rng):

@@ -52,8 +52,9 @@ def _response_figure(law: UnnamedLaw, units: tuple[str, str]) -> tuple[figure, d
     around_Hz = [mode.frequency_Hz * (1.0 + mode.damping_ratio * np.linspace(-5.0, 5.0, 41)) for mode in law.modes]
     wide_Hz = np.geomspace(0.1 * min(corners_Hz), 10.0 * max(corners_Hz), 200)
     frequency_Hz = np.unique(np.concatenate([wide_Hz, *around_Hz]))
-    frequency_Hz = frequency_Hz[frequency_Hz >= wide_Hz[0]]
-    columns: dict[str, Array] = {"frequency": frequency_Hz, "gain": np.abs(law.response(frequency_Hz))}
+    dt_s = law.smoothing_s  # the sample period of the recordings that it was fitted to
+    frequency_Hz = frequency_Hz[(frequency_Hz >= wide_Hz[0]) & (frequency_Hz <= 0.5 / dt_s)]
+    columns: dict[str, Array] = {"frequency": frequency_Hz, "gain": np.abs(law.response(frequency_Hz, dt_s))}
     plot = new_figure("", "frequency [Hz]", f"gain [{units[1]}/{units[0]}]", 300, x_axis="log")
     draw_curve(plot, column_source(columns), "gain", "gain", BLUE, x="frequency", width=2.0)
     return finish(plot), columns
