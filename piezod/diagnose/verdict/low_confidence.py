@@ -11,6 +11,9 @@ from piezod.effects import EFFECTS
 
 LEAST_CONFIDENCE = 0.6  # lowest confidence of a name; in two study sets 3 of 17 names with 0.43 to 0.84 were right
 NEVER_NAMED = 0.2  # confidence below which no effect is named, however much it explains: four of five would be wrong
+CONTRADICTED = (
+    0.05  # confidence below which no effect stays, however sure it once was: nearly all that is left is another
+)
 DECADE = 10.0  # largest ratio of an interval's ends; a wider interval does not determine the size
 HALVED_ERROR = 0.25  # share of the squared error; an effect that leaves less is named below `LEAST_CONFIDENCE` too
 
@@ -75,10 +78,13 @@ def least_confident(result: Search, findings: Findings, highest: Mapping[str, fl
     """The least confident effect, if its confidence is too low to name it; empty if there is none.
 
     A removed effect may have explained a part of another one, whose confidence then falls. Therefore the highest
-    confidence that each effect has had decides.
+    confidence that each effect has had decides, unless the present one is near zero.
     """
-    named = (f for f in findings.effects if f.name in result.names and highest[f.name] < LEAST_CONFIDENCE)
-    weak = [f for f in named if f.after**2 > HALVED_ERROR * f.before**2 or highest[f.name] < NEVER_NAMED]
+    named = [f for f in findings.effects if f.name in result.names]
+    if contradicted := [f for f in named if f.confidence < CONTRADICTED]:
+        return [min(contradicted, key=lambda finding: finding.confidence).name]
+    doubtful = (f for f in named if highest[f.name] < LEAST_CONFIDENCE)
+    weak = [f for f in doubtful if f.after**2 > HALVED_ERROR * f.before**2 or highest[f.name] < NEVER_NAMED]
     return [min(weak, key=lambda finding: finding.confidence).name] if weak else []
 
 

@@ -38,6 +38,11 @@ def test_none_is_believed_less_for_what_another_took_that_was_left_out():
     assert doubted(*effects, surest={"friction": 0.7, "creep": 0.61}) == []
 
 
+@pytest.mark.parametrize(("confidence", "dropped"), [(0.04, ["creep"]), (0.06, [])])
+def test_an_effect_that_what_is_left_contradicts_goes_however_sure_it_was(confidence, dropped):
+    assert doubted(("creep", confidence, 9.0, 1.0), surest={"creep": 0.99}) == dropped
+
+
 def test_a_single_effect_of_low_confidence_is_dropped():
     assert doubted(("creep", 0.55, 1.2, 1.0)) == ["creep"]
 
