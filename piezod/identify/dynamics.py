@@ -1,4 +1,4 @@
-"""Linear dynamics beside the hysteresis, where a drive through several modes or filters leaves no usable static model.
+"""Linear dynamics parallel to the hysteresis, where several modes or filters leave no usable static model.
 
 The hysteresis is fitted to the readings less the dynamics, and the dynamics to the readings less the hysteresis, in
 turn. The steady gain belongs to the hysteresis: the dynamics have none.
@@ -21,12 +21,12 @@ from piezod.recording import Recording
 
 ROUNDS = 3  # fits of dynamics and hysteresis in turn
 LEAST_POLES = 2  # one pole is a resonance, a lag or a filter of the catalogue, which a diagnosis names
-LEAST_EXPLAINED = 0.5  # least share of the squared readings, on left-out folds, that the dynamics must predict
+LEAST_EXPLAINED = 0.5  # least share of the squared readings of omitted folds that the dynamics must predict
 
 
 @dataclass(frozen=True)
-class BesideDynamics:
-    """Linear dynamics, the hysteresis beside them, and figures of both together."""
+class HysteresisAndDynamics:
+    """Linear dynamics, the hysteresis parallel to them, and figures of the sum."""
 
     law: UnnamedLaw
     selection: Selection
@@ -34,9 +34,9 @@ class BesideDynamics:
     figures: FitFigures
 
 
-def beside_dynamics(
+def hysteresis_and_dynamics(
     recordings: Sequence[Recording], pairs: Sequence[tuple[Array, Array]], options: Options, noise: float
-) -> BesideDynamics | None:
+) -> HysteresisAndDynamics | None:
     """Hysteresis and linear dynamics; None if the dynamics explain too little, or are one pole.
 
     Parameters
@@ -47,13 +47,13 @@ def beside_dynamics(
         Noise of a reading, or any positive number where it is unknown [output unit].
     """
     static = [np.zeros(u.size) for u, _ in pairs]
-    result: BesideDynamics | None = None
+    result: HysteresisAndDynamics | None = None
     for _ in range(ROUNDS):
         driven = [_driven(r, u, y - s, noise) for r, (u, y), s in zip(recordings, pairs, static, strict=True)]
-        found = fit_linear_dynamics(driven)
-        if found is None or (result is None and not _enough(found)):
+        dynamics = fit_linear_dynamics(driven)
+        if dynamics is None or (result is None and not _enough(dynamics)):
             return result
-        law = _law(replace(found, direct=-float(found.gains.real.sum())), driven)
+        law = _law(replace(dynamics, direct=-float(dynamics.gains.real.sum())), driven)
         rest = [_without(law, r, u, y) for r, (u, y) in zip(recordings, pairs, strict=True)]
         selection = reduce_smooth_base(recordings, [(u, y) for (u, _), y in zip(pairs, rest, strict=True)], options)
         if result is not None and selection.chosen.rms_held_out >= result.selection.chosen.rms_held_out:
@@ -61,16 +61,16 @@ def beside_dynamics(
         fit = selection.chosen.fit
         assert fit is not None
         figures = _relative_to(selection.figures, np.concatenate([y[np.isfinite(y)] for _, y in pairs]))
-        result = BesideDynamics(law, selection, fit.hysteresis, figures)
+        result = HysteresisAndDynamics(law, selection, fit.hysteresis, figures)
         samples = [stretch.fitted for stretch in selection.stretches]
-        if any(one.y.size != s.size for one, s in zip(samples, static, strict=True)):
-            return result  # a part of a recording was left out, so the hysteresis is not known over all of it
-        static = [one.y - residual(fit.hysteresis.operator(), one) for one in samples]
+        if any(fitted.y.size != s.size for fitted, s in zip(samples, static, strict=True)):
+            return result  # a part of a recording was not used, so its hysteresis is unknown there
+        static = [fitted.y - residual(fit.hysteresis.operator(), fitted) for fitted in samples]
     return result
 
 
-def _enough(found: LinearDynamics) -> bool:
-    return found.poles.size >= LEAST_POLES and found.explained >= LEAST_EXPLAINED
+def _enough(dynamics: LinearDynamics) -> bool:
+    return dynamics.poles.size >= LEAST_POLES and dynamics.explained >= LEAST_EXPLAINED
 
 
 def _relative_to(figures: FitFigures, measured: Array) -> FitFigures:
@@ -84,15 +84,15 @@ def _relative_to(figures: FitFigures, measured: Array) -> FitFigures:
     )
 
 
-def _law(found: LinearDynamics, driven: Sequence[Driven]) -> UnnamedLaw:
+def _law(dynamics: LinearDynamics, driven: Sequence[Driven]) -> UnnamedLaw:
     """Linear dynamics as an unnamed law of the command."""
-    commands = np.concatenate([one.command for one in driven])
+    commands = np.concatenate([recording.command for recording in driven])
     low, high = float(commands.min()), float(commands.max())
-    memories_s, rows, modes = found.tables((low, high))
+    memories_s, rows, modes = dynamics.tables((low, high))
     return UnnamedLaw(
         drivers=(Axis(driver="command", low=low, high=high, nodes=2),),
         dead_band=1e-6 * (high - low),
-        smoothing_s=max(one.dt_s for one in driven),
+        smoothing_s=max(recording.dt_s for recording in driven),
         memories_s=tuple(memories_s),
         tables=tuple(tuple(row) for row in rows),
         modes=tuple(modes),
@@ -101,7 +101,7 @@ def _law(found: LinearDynamics, driven: Sequence[Driven]) -> UnnamedLaw:
 
 
 def _without(law: UnnamedLaw, recording: Recording, u: Array, y: Array) -> Array:
-    """Readings less the dynamics, and less what an unknown past of them leaves, shape (N,)."""
+    """Readings minus the dynamics and the decays of their unknown past, shape (N,)."""
     command = _filled(recording, u)
     rest = y - LawStep(law, recording.dt_s).run(command, command)
     known = np.isfinite(rest)

@@ -15,7 +15,7 @@ from piezod.estimation.recordings.intake import OnStep
 from piezod.estimation.recordings.layout import entry_of
 from piezod.estimation.recordings.noise import Noise, noise_of
 from piezod.estimation.recordings.suitability import check_suitable, falls
-from piezod.identify.dynamics import beside_dynamics
+from piezod.identify.dynamics import hysteresis_and_dynamics
 from piezod.identify.options import Options
 from piezod.identify.order import Candidate
 from piezod.identify.selection import Selection, reduce_smooth_base, select_by_orders
@@ -26,7 +26,7 @@ from piezod.recording.names import unit_of
 
 LEAST_EXPLAINED = 0.5  # share of the output's variance that a useful model must explain
 STRUCTURED = 3.0  # error, in multiples of the noise, above which an unusable model still has structured residuals
-MOST_LEFT = 0.5  # largest error with linear dynamics, relative to that without, at which they are kept
+LARGEST_RATIO = 0.5  # largest ratio of the errors with and without linear dynamics at which they are kept
 AT_THE_NOISE = 1.1  # error, in multiples of the noise, up to which no effect is missing: the noise is known to 5 %
 
 
@@ -146,7 +146,7 @@ def identify(
     stretch_notes = [note for stretch in selection.stretches for note in stretch.notes]
     model_notes = lines if options.by_orders else lines + stretch_notes
     model = _model(recordings, pairs, options, selection, by, sources, model_notes)
-    found = Identification(
+    static = Identification(
         model,
         selection.candidates,
         selection.before_pruning,
@@ -154,31 +154,31 @@ def identify(
         [*lines, *stretch_notes, *_undetermined(selection.chosen)],
         _noise(recordings, [stretch.fitted for stretch in selection.stretches]),
     )
-    if found.useful or options.by_orders:
-        return found
+    if static.useful or options.by_orders:
+        return static
     on_step("fitting linear dynamics", None)
-    return _with_dynamics(found, recordings, options) or found
+    return _with_dynamics(static, recordings, options) or static
 
 
 def _with_dynamics(static: Identification, recordings: Sequence[Recording], options: Options) -> Identification | None:
-    """Identification with linear dynamics beside the hysteresis; None: the error stays above half of the static one."""
+    """Identification with linear dynamics; None: the error stays above half of the static error."""
     pairs = [(r.channel(options.input), r.channel(options.output)) for r in recordings]
     noise = static.noise.rms if static.noise is not None else static.chosen.rms_held_out
-    found = beside_dynamics(recordings, pairs, options, noise)
-    if found is None or found.selection.chosen.rms_held_out > MOST_LEFT * static.chosen.rms_held_out:
+    both = hysteresis_and_dynamics(recordings, pairs, options, noise)
+    if both is None or both.selection.chosen.rms_held_out > LARGEST_RATIO * static.chosen.rms_held_out:
         return None
-    selection = found.selection
-    provenance = static.model.provenance.model_copy(update={"fit": found.figures})
+    selection = both.selection
+    provenance = static.model.provenance.model_copy(update={"fit": both.figures})
     model = static.model.model_copy(
         update={
-            "hysteresis": found.hysteresis,
-            "unnamed_law": found.law,
+            "hysteresis": both.hysteresis,
+            "unnamed_law": both.law,
             "start": _start(selection.stretches[0].fitted.path, at_rest=selection.stretches[0].at_rest),
             "provenance": provenance,
         }
     )
-    modes = [(mode.frequency_Hz, mode.damping_ratio) for mode in found.law.modes]
-    parts = dynamics_words(modes, [one for one in found.law.memories_s if one > 0.0])
+    modes = [(mode.frequency_Hz, mode.damping_ratio) for mode in both.law.modes]
+    parts = dynamics_words(modes, [memory_s for memory_s in both.law.memories_s if memory_s > 0.0])
     note = f"no hysteresis alone explains the output: linear dynamics beside it, with no steady gain: {parts}"
     return replace(
         static,

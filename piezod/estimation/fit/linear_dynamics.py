@@ -20,7 +20,7 @@ from piezod.arrays import Array
 from piezod.model.unnamed_law import Mode, behind_modes
 
 Poles = NDArray[np.complex128]
-"""Real poles, and of each pair the one in the upper half plane, shape (K,) [1/s]."""
+"""Real poles, and the upper pole of each complex pair, shape (K,) [1/s]."""
 
 MOST_ROWS = 20_000  # of a recording; longer ones are averaged over boxes of samples
 BOXES = (1, 4, 16, 64)  # rates of the start, in samples: a model of many samples a period is badly conditioned
@@ -32,7 +32,7 @@ LONGEST, LONGEST_RINGING = 0.5, 0.1
 """Longest time constant of a lag, and of a mode, relative to the recording: a mode that rings longer is a tone."""
 MOST_DAMPED = 0.999  # damping ratio of a mode; a pair beyond it is two lags
 FOLDS, PIECES = 4, 5  # contiguous folds of each recording, and pieces of a fold with an error each
-SIMPLER = 0.9  # largest ratio of the squared errors of left-out folds at which more poles are taken
+SIMPLER = 0.9  # largest ratio of the squared errors of omitted folds at which more poles are taken
 PATIENCE = 2  # larger numbers of poles that predict no better before the search ends: a mode may need two more
 STEPS, SMALL, FALL = 20, 1e-5, 1e-4  # Gauss-Newton: steps, relative difference of a pole, least relative fall of a step
 RIDGE = 1e-10  # relative to the largest diagonal: nearly equal poles have large opposite gains
@@ -65,8 +65,8 @@ class Driven:
         rows = self.command.size // box
         shape = (rows, box)
         command, residual = (
-            one[: rows * box].reshape(shape).mean(axis=1)
-            for one in (self.command, np.where(self.counts, self.residual, 0.0))
+            values[: rows * box].reshape(shape).mean(axis=1)
+            for values in (self.command, np.where(self.counts, self.residual, 0.0))
         )
         counts: NDArray[np.bool_] = np.all(self.counts[: rows * box].reshape(shape), axis=1)
         return Driven(command, residual, counts, box * self.dt_s, self.noise / np.sqrt(box))
@@ -85,9 +85,9 @@ class LinearDynamics:
     gains
         Complex gain of each pole, shape (K,) [output unit per input unit]; that of a real pole is real.
     errors
-        Squared errors of the pieces of left-out folds, by recording, shape (20 * recordings,) [noise variance].
+        Squared errors of the pieces of omitted folds, by recording, shape (20 * recordings,) [noise variance].
     references
-        The same without dynamics, with an offset of each recording.
+        Squared errors without dynamics, with an offset of each recording.
     """
 
     poles: Poles
@@ -98,7 +98,7 @@ class LinearDynamics:
 
     @property
     def explained(self) -> float:
-        """Share of the squared residual that the dynamics predict on left-out folds; below 0: they make it worse."""
+        """Share of the squared residual that the dynamics predict on omitted folds; below 0: they make it worse."""
         return 1.0 - float(self.errors.sum() / max(self.references.sum(), 1e-300))
 
     def tables(self, ends: Sequence[float]) -> tuple[list[float], list[list[float]], list[Mode]]:
@@ -130,16 +130,16 @@ class LinearDynamics:
 def fit_linear_dynamics(recordings: Sequence[Driven]) -> LinearDynamics | None:
     """Fit linear dynamics to the residuals of recordings; None: no order can be tried.
 
-    More poles are taken while they predict the left-out folds better.
+    More poles are taken while they predict omitted folds better.
     """
-    longest = max(one.command.size for one in recordings)
-    rows = [one.averaged(max(1, -(-longest // MOST_ROWS))) for one in recordings]
+    longest = max(recording.command.size for recording in recordings)
+    rows = [recording.averaged(max(1, -(-longest // MOST_ROWS))) for recording in recordings]
     tried = [_solved(rows, poles) for poles in _starts(rows)]
     if not tried:
         return None
     best: dict[int, LinearDynamics] = {}
-    for one in sorted(tried, key=lambda one: -one.explained):
-        best.setdefault(one.poles.size, one)
+    for dynamics in sorted(tried, key=lambda dynamics: -dynamics.explained):
+        best.setdefault(dynamics.poles.size, dynamics)
     chosen: LinearDynamics | None = None
     for size in sorted(best):  # more poles are refined until they no longer predict better
         refined = _solved(rows, _refined(rows, best[size].poles))
@@ -169,9 +169,9 @@ def dynamics_words(modes: Sequence[tuple[float, float]], lags_s: Sequence[float]
 
 def _starts(recordings: Sequence[Driven]) -> list[Poles]:
     """Poles of equation-error models of each order at each rate, from the longest recording."""
-    longest = max(recordings, key=lambda one: one.command.size)
+    longest = max(recordings, key=lambda recording: recording.command.size)
     duration_s = longest.command.size * longest.dt_s
-    found = []
+    starts = []
     for box in BOXES:
         rows = longest.averaged(box)
         if rows.command.size < LEAST_ROWS:
@@ -182,8 +182,8 @@ def _starts(recordings: Sequence[Driven]) -> list[Poles]:
                 break
             poles = _continuous(_steiglitz_mcbride(command, residual, order), rows.dt_s, duration_s)
             if poles.size:
-                found.append(poles)
-    return found
+                starts.append(poles)
+    return starts
 
 
 def _filled(rows: Driven) -> Array:
@@ -238,7 +238,7 @@ def _recursive(values: Array, denominator: Array) -> Array:
 
 
 def _continuous(denominator: Array, dt_s: float, duration_s: float) -> Poles:
-    """Continuous poles of a sampled denominator; those that the samples cannot show are left out."""
+    """Continuous poles of a sampled denominator; only poles that the samples can show."""
     roots = np.roots(denominator)
     roots = roots[(np.abs(roots) > np.exp(-1.0 / FASTEST)) & (np.abs(roots) < 1.0)]
     roots = roots[(roots.imag > 0.0) | ((roots.imag == 0.0) & (roots.real > 0.0))]
@@ -248,7 +248,7 @@ def _continuous(denominator: Array, dt_s: float, duration_s: float) -> Poles:
 
 
 def _columns(rows: Driven, poles: Poles) -> list[Array]:
-    """Command behind each pole: one column for a real one, real and imaginary part for a pair; shape (N, 1 or 2)."""
+    """Command behind each pole: one column for a real pole, real and imaginary part for a pair; shape (N, 1 or 2)."""
     keeps = np.exp(poles * rows.dt_s)
     behind = behind_modes(rows.command, keeps)
     return [behind[:, 2 * k : 2 * k + (1 if pole.imag == 0.0 else 2)] for k, pole in enumerate(poles)]
@@ -263,7 +263,7 @@ def _past(rows: Driven, poles: Poles) -> Array:
 def _design(recordings: Sequence[Driven], poles: Poles) -> list[Array]:
     """Weighted columns of each recording: direct gain, poles, then offset and past of each recording."""
     designs = []
-    pasts = [np.hstack([np.ones((one.command.size, 1)), _past(one, poles)]) for one in recordings]
+    pasts = [np.hstack([np.ones((rows.command.size, 1)), _past(rows, poles)]) for rows in recordings]
     width = pasts[0].shape[1]
     for number, (rows, past) in enumerate(zip(recordings, pasts, strict=True)):
         own = np.hstack([rows.command[:, None], *_columns(rows, poles)])
@@ -275,9 +275,9 @@ def _design(recordings: Sequence[Driven], poles: Poles) -> list[Array]:
 
 
 def _solved(recordings: Sequence[Driven], poles: Poles) -> LinearDynamics:
-    """Gains by least squares, and errors of the left-out folds."""
+    """Gains by least squares, and errors of the omitted folds."""
     designs = _design(recordings, poles)
-    targets = [np.where(one.counts, one.residual / one.noise, 0.0) for one in recordings]
+    targets = [np.where(rows.counts, rows.residual / rows.noise, 0.0) for rows in recordings]
     grams, sides, squares, references = [], [], [], []
     for rows, design, target in zip(recordings, designs, targets, strict=True):
         mean = target.sum() / max(int(rows.counts.sum()), 1)
@@ -355,7 +355,7 @@ def _poles(parameters: Array, like: Poles) -> Poles:
 
 def _refined(recordings: Sequence[Driven], poles: Poles) -> Poles:
     """Poles after Gauss-Newton steps with damping; the gains follow by least squares."""
-    target = np.concatenate([np.where(one.counts, one.residual / one.noise, 0.0) for one in recordings])
+    target = np.concatenate([np.where(rows.counts, rows.residual / rows.noise, 0.0) for rows in recordings])
 
     def fit(at: Array) -> tuple[Array, Array, Array]:
         """Design, solution and error."""
@@ -364,8 +364,8 @@ def _refined(recordings: Sequence[Driven], poles: Poles) -> Poles:
         return design, solution, target - design @ solution
 
     at = _parameters(poles)
-    design, solution, left = fit(at)
-    loss, damping = float(left @ left), 1e-3
+    design, solution, error = fit(at)
+    loss, damping = float(error @ error), 1e-3
     for _ in range(STEPS):
         slopes = np.empty((target.size, at.size))
         for k in range(at.size):
@@ -373,7 +373,7 @@ def _refined(recordings: Sequence[Driven], poles: Poles) -> Poles:
             moved[k] += SMALL
             slopes[:, k] = (np.vstack(_design(recordings, _poles(moved, poles))) - design) @ solution / SMALL
         slopes -= design @ _least_squares(design.T @ design, design.T @ slopes)
-        gram, side = slopes.T @ slopes, slopes.T @ left
+        gram, side = slopes.T @ slopes, slopes.T @ error
         fell = False
         while damping < 1e6:
             step = np.linalg.solve(gram + damping * np.diag(np.diag(gram) + 1e-300), side)
@@ -385,8 +385,8 @@ def _refined(recordings: Sequence[Driven], poles: Poles) -> Poles:
         if not fell:
             break
         at = at + np.clip(step, -0.5, 0.5)
-        design, solution, left = tried
-        before, loss = loss, float(left @ left)
+        design, solution, error = tried
+        before, loss = loss, float(error @ error)
         if before - loss < FALL * before:
             break
     return _poles(at, poles)
