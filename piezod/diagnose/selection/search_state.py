@@ -1,5 +1,6 @@
 """The state of a search, which never changes: a move makes a new one."""
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -10,6 +11,7 @@ from piezod.diagnose.findings import ABOVE_NOISE
 from piezod.diagnose.hypothesis import stack_change
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import MOST_STEPS, Fitted, fit
+from piezod.diagnose.hypothesis.systematic import systematic_errors
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.given_effects import Status
@@ -105,6 +107,11 @@ class Search:
     def given(self) -> tuple[str, ...]:
         """Effects of the given model."""
         return self.base.effects
+
+    @functools.cached_property
+    def systematic(self) -> tuple[dict[str, float], ...]:
+        """Result of `systematic_errors` for the hypothesis."""
+        return systematic_errors(self.chain, self.hypothesis)
 
     @property
     def has_known(self) -> bool:

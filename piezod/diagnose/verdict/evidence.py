@@ -8,7 +8,6 @@ import numpy as np
 from piezod.diagnose.findings import Base, Finding, Place, Rival, Status, UnchangedEffect, Value
 from piezod.diagnose.hypothesis.left_out import FORM_ERROR, INTERVAL_FACTOR
 from piezod.diagnose.hypothesis.stack_change import NAMES
-from piezod.diagnose.hypothesis.systematic import systematic_errors
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.acceptance import comparison_loss
@@ -77,7 +76,7 @@ def _parameters(result: Search, place: int) -> dict[str, Value]:
     """Parameters of the fitted effect at this place with their intervals; without instants after the last sample."""
     chain, fitted = result.chain, result.hypothesis
     term, values = fitted.terms[place], fitted.point.values[place]
-    series, systematic = chain.series[term.series], systematic_errors(chain, fitted)[place]
+    series, systematic = chain.series[term.series], result.systematic[place]
     parameters = {}
     for parameter in term.effect.catalogued:
         value = {**values, **dict(term.choices)}[parameter.name]
