@@ -123,6 +123,37 @@ def test_an_output_that_does_not_read_back_at_rest_is_a_fault(ring_log):
     assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.READBACK)
 
 
+def test_the_readback_has_the_time_of_a_lost_connection_to_reach_rest_from_the_last_step_on(ring_log):
+    link = FakeLink()
+    loop = armed_loop(link, ring_log, comm_loss_ms=150.0)
+    run(loop, 300)
+    exchange = link.exchange
+
+    def stays(voltage_V):
+        result = exchange(voltage_V)
+        link.reading.voltage_readback_V = 30.0
+        return result
+
+    link.exchange = stays
+    loop.request_stop()
+    ticks_at_rest = 0
+    while loop.supervisor.state is State.RAMP_DOWN or not ticks_at_rest:
+        run(loop, 1)
+        ticks_at_rest += link.voltages[-1] == 0.0
+        assert ticks_at_rest < 300
+    assert ticks_at_rest * DT_S == pytest.approx(0.150, abs=2.5 * DT_S)
+
+
+def test_failed_exchanges_are_counted_and_good_ones_are_not(ring_log):
+    link = FakeLink()
+    loop = armed_loop(link, ring_log)
+    run(loop, 300)
+    assert loop.counts.failed_exchanges == 0
+    link.fails = lambda number: 301 <= number < 306
+    run(loop, 50)
+    assert loop.counts.failed_exchanges == 5
+
+
 def test_an_output_that_nobody_drives_is_ramped_down_from_its_readback(ring_log):
     link = FakeLink()
     loop = ControlLoop(link, limits(), FakeClock(), ring_log, DT_S, 200.0, readback_within_V=2.0)
