@@ -13,6 +13,7 @@ UNIT_FACTOR = 30.0
 range for the smallest minor loops."""
 
 FOLLOWS = 0.9  # correlation of command and reading from which the reading shows the stack
+EXTRAPOLATED = "beyond that the model is extrapolated"
 BEYOND = 1.5  # ratio of the peaks from which the recording is named: a model says nothing about most of it
 
 
@@ -42,9 +43,16 @@ def _command_notes(model: Model, recording: Series) -> list[str]:
     )
     if not peak / UNIT_FACTOR <= reached <= UNIT_FACTOR * peak:
         raise RecordingError(f"{words}; {_unit_advice(model.input.channel)}")
-    return (
-        [f"{words}: are the columns exchanged? Beyond it the model is extrapolated"] if reached > BEYOND * peak else []
-    )
+    if reached <= BEYOND * peak:
+        return []
+    return [f"{words}; {'are the columns exchanged?' if _exchanged(model, recording) else EXTRAPOLATED}"]
+
+
+def _exchanged(model: Model, recording: Series) -> bool:
+    """Whether command and reading have the ranges of the model's reading and command."""
+    pairs = ((recording.command_V, model.output), (recording.reading_N[recording.counts], model.input))
+    ratios = [float(np.ptp(values)) / (channel.high - channel.low) for values, channel in pairs]
+    return all(1.0 / BEYOND <= ratio <= BEYOND for ratio in ratios)
 
 
 def _check_gain(model: Model, recording: Series) -> None:

@@ -49,7 +49,16 @@ def test_a_command_far_beyond_the_model_is_named_and_a_smaller_one_is_not(model,
     source = Source(recorded(voltage_V, read(voltage_V, 3)), "0" * 64, "recording")
     notes = compare_ranges(load_model(model), prepared([source], load_model(model)))
     assert len(notes) == count
-    assert all("are the columns exchanged?" in note for note in notes)
+    assert all("the model is extrapolated" in note for note in notes)
+
+
+def test_exchanged_columns_are_asked_about(model):
+    voltage_V = triangles([100, 40, 100])
+    scaled = load_model(model).model_copy(update={"input": load_model(model).input.model_copy(update={"high": 30.0})})
+    exchanged = recorded(read(voltage_V, 3), 0.3 * voltage_V)
+    notes = compare_ranges(scaled, prepared([Source(exchanged, "0" * 64, "recording")], scaled))
+    assert len(notes) == 1
+    assert "are the columns exchanged?" in notes[0]
 
 
 def test_a_reading_that_only_holds_noise_is_not_called_a_wrong_unit(model):
