@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from firmware_sim.concealed.errors import StudyError
 from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.chain import Plant
 from firmware_sim.concealed.plant.force_law import ForceLaw
@@ -72,14 +73,15 @@ def draw_case(spec: CaseSpec, seed: np.random.SeedSequence) -> Case:
 
     Raises
     ------
-    RuntimeError
+    StudyError
         No attempt gave a plausible case.
     """
     for attempt, child in enumerate(seed.spawn(ATTEMPTS)):
         case = _Attempt(spec, np.random.Generator(np.random.PCG64(child)), strict=attempt < STRICT_ATTEMPTS).case()
         if case is not None:
             return case
-    raise RuntimeError(f"{spec.kind} {'+'.join(spec.names)}: no plausible case in {ATTEMPTS} attempts")
+    names = "+".join(spec.names)
+    raise StudyError(f"{spec.kind} {names}: no plausible case in {ATTEMPTS} attempts; take another --seed")
 
 
 class _Attempt:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from firmware_sim.concealed.errors import StudyError
 from firmware_sim.concealed.plant.arrays import Array
 from firmware_sim.concealed.plant.chain import Plant
 from firmware_sim.concealed.plant.drives import Drive, mixed_work, temperature
@@ -95,14 +96,14 @@ def draw_life(family: str, change: str, seed: np.random.SeedSequence) -> Life:
 
     Raises
     ------
-    RuntimeError
+    StudyError
         No attempt gave a change that shows.
     """
     for child in seed.spawn(ATTEMPTS):
         life = _attempt(family, change, child)
         if life is not None:
             return life
-    raise RuntimeError(f"{family}, {change}: no change showed in {ATTEMPTS} attempts")
+    raise StudyError(f"{family}, {change}: no change showed in {ATTEMPTS} attempts; take another --seed")
 
 
 def _attempt(family: str, change: str, seed: np.random.SeedSequence) -> Life | None:
@@ -113,7 +114,7 @@ def _attempt(family: str, change: str, seed: np.random.SeedSequence) -> Life | N
     spec = CaseSpec("pair" if count == 2 else "single", names, (20.0, 4.0)[:count], "white", family)
     try:
         case = draw_case(spec, of_case)
-    except RuntimeError:
+    except StudyError:
         return None
     everything = {name: replace(on, scope=COME_SINCE) for name, on in case.effects.items()}
     effect = names[-1] if change in {"grows", "shrinks", "gone", "new"} else ""

@@ -131,7 +131,7 @@ def make_case(
 
     Raises
     ------
-    RuntimeError
+    StudyError
         No attempt gave a plausible case.
     """
     case = draw_case(spec, seed)

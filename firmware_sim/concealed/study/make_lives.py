@@ -67,7 +67,7 @@ def make_life(directory: Path, name: str, family: str, change: str, seed: np.ran
 
     Raises
     ------
-    RuntimeError
+    StudyError
         No attempt gave a change that shows.
     """
     life = draw_life(family, change, seed)
