@@ -141,8 +141,10 @@ def fit_linear_dynamics(recordings: Sequence[Driven]) -> LinearDynamics | None:
     for dynamics in sorted(tried, key=lambda dynamics: -dynamics.explained):
         best.setdefault(dynamics.poles.size, dynamics)
     chosen: LinearDynamics | None = None
+    duration_s = max(recording.command.size * recording.dt_s for recording in recordings)
     for size in sorted(best):  # more poles are refined until they no longer predict better
-        refined = _solved(rows, _refined(rows, best[size].poles))
+        poles = _refined(rows, best[size].poles)
+        refined = _solved(rows, poles[_fade(poles, duration_s)])
         if chosen is None or 1.0 - refined.explained < SIMPLER * (1.0 - chosen.explained):
             chosen, worse = refined, 0
             continue
@@ -162,7 +164,7 @@ def dynamics_words(modes: Sequence[tuple[float, float]], lags_s: Sequence[float]
     lags_s
         Time constants [s].
     """
-    words = [f"a mode at {frequency_Hz:.3g} Hz (damping {ratio:.2g})" for frequency_Hz, ratio in sorted(modes)]
+    words = [f"a mode at {frequency_Hz:.4g} Hz (damping {ratio:.2g})" for frequency_Hz, ratio in sorted(modes)]
     words += [f"a lag of {lag_s:.3g} s" for lag_s in sorted(lags_s)]
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
@@ -243,8 +245,13 @@ def _continuous(denominator: Array, dt_s: float, duration_s: float) -> Poles:
     roots = roots[(np.abs(roots) > np.exp(-1.0 / FASTEST)) & (np.abs(roots) < 1.0)]
     roots = roots[(roots.imag > 0.0) | ((roots.imag == 0.0) & (roots.real > 0.0))]
     poles: Poles = np.log(roots.astype(complex)) / dt_s
-    longest_s = np.where(poles.imag == 0.0, LONGEST, LONGEST_RINGING) * duration_s
-    return poles[-poles.real * longest_s > 1.0]
+    return poles[_fade(poles, duration_s)]
+
+
+def _fade(poles: Poles, duration_s: float) -> NDArray[np.bool_]:
+    """Whether each pole fades early enough within a recording to be no tone or drift, shape (K,)."""
+    fade: NDArray[np.bool_] = -poles.real * np.where(poles.imag == 0.0, LONGEST, LONGEST_RINGING) * duration_s > 1.0
+    return fade
 
 
 def _columns(rows: Driven, poles: Poles) -> list[Array]:
