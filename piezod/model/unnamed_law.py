@@ -100,8 +100,9 @@ class UnnamedLaw(Section):
 
     @property
     def linear(self) -> bool:
-        """Whether it is linear dynamics of the command."""
-        return not self.gain and len(self.drivers) == 1 and self.drivers[0].driver == "command" and self.nodes == 2
+        """Whether it is linear dynamics of the command or of the expected reading."""
+        (driver, *more) = (axis.driver for axis in self.drivers)
+        return not self.gain and not more and driver in ("command", "reading") and self.nodes == 2
 
     @property
     def nodes(self) -> int:

@@ -1,4 +1,4 @@
-"""Linear dynamics from command to reading: a direct gain, lags and modes, fitted to the residual of a model.
+"""Linear dynamics from a drive to the reading: a direct gain, lags and modes, fitted to the residual of a model.
 
 The poles start from equation-error models of several orders at several rates, each improved by prefilters. Gauss-Newton
 steps then lower the error of the free run, in which the gains are linear. Every fit has the decays of an unknown past,
@@ -10,7 +10,7 @@ problems whose variables separate, SIAM Journal on Numerical Analysis 10(2).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -88,6 +88,8 @@ class LinearDynamics:
         Squared errors of the pieces of omitted folds, by recording, shape (20 * recordings,) [noise variance].
     references
         Squared errors without dynamics, with an offset of each recording.
+    with_one_pole
+        Squared error of all omitted folds with the best single pole [noise variance]; infinite: none was tried.
     """
 
     poles: Poles
@@ -95,6 +97,7 @@ class LinearDynamics:
     gains: NDArray[np.complex128]
     errors: Array
     references: Array
+    with_one_pole: float = np.inf
 
     @property
     def explained(self) -> float:
@@ -127,31 +130,41 @@ class LinearDynamics:
         return memories, rows, modes
 
 
-def fit_linear_dynamics(recordings: Sequence[Driven]) -> LinearDynamics | None:
+def fit_linear_dynamics(recordings: Sequence[Driven], known: Poles | None = None) -> LinearDynamics | None:
     """Fit linear dynamics to the residuals of recordings; None: no order can be tried.
 
     More poles are taken while they predict omitted folds better.
+
+    Parameters
+    ----------
+    known
+        Poles that are only refined; None: every order is tried.
     """
     longest = max(recording.command.size for recording in recordings)
     rows = [recording.averaged(max(1, -(-longest // MOST_ROWS))) for recording in recordings]
-    tried = [_solved(rows, poles) for poles in _starts(rows)]
+    tried = [_solved(rows, poles) for poles in (_starts(rows) if known is None else [known])]
     if not tried:
         return None
     best: dict[int, LinearDynamics] = {}
     for dynamics in sorted(tried, key=lambda dynamics: -dynamics.explained):
         best.setdefault(dynamics.poles.size, dynamics)
     chosen: LinearDynamics | None = None
+    with_one_pole = np.inf
     duration_s = max(recording.command.size * recording.dt_s for recording in recordings)
     for size in sorted(best):  # more poles are refined until they no longer predict better
         poles = _refined(rows, best[size].poles)
         refined = _solved(rows, poles[_fade(poles, duration_s)])
+        if size == 1:
+            with_one_pole = float(refined.errors.sum())
         if chosen is None or 1.0 - refined.explained < SIMPLER * (1.0 - chosen.explained):
             chosen, worse = refined, 0
             continue
         worse += 1
         if worse == PATIENCE:
             break
-    return chosen if chosen is not None and chosen.explained > 0.0 else None
+    if chosen is None or chosen.explained <= 0.0:
+        return None
+    return replace(chosen, with_one_pole=with_one_pole)
 
 
 def dynamics_words(modes: Sequence[tuple[float, float]], lags_s: Sequence[float]) -> str:

@@ -176,7 +176,7 @@ def _law(page: _Page) -> str:
 _GAIN = (
     "Gain of what the reading has moved from its start, while the drivers keep their values and memories have settled."
 )
-_DYNAMICS = "What the dynamics add to the reading for a sine of the command, for each unit of its amplitude."
+_DYNAMICS = "What the dynamics add to the reading for a sine of its driver, for each unit of the amplitude."
 _LAW = "What the law adds to the reading while its drivers keep their values, after its memories have settled."
 
 _HELD_OUT = (

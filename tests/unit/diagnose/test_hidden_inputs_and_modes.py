@@ -57,6 +57,42 @@ def test_its_own_model_explains_another_record_of_the_bench(modal_model):
     assert piezod.diagnose(modal(2), modal_model.model).verdict == "matches"
 
 
+def behind_plays(frequencies):
+    """Periodic readings of two plays before parallel modes (frequency, gain) with a damping of 0.03."""
+    rate_Hz, samples = 500.0, 4000
+    lines_Hz = np.fft.rfftfreq(samples, 1.0 / rate_Hz)
+    band = (lines_Hz >= 0.5) & (lines_Hz <= 60.0)
+    lines = np.where(band, np.exp(2j * np.pi * np.random.default_rng(11).uniform(size=band.size)), 0.0)
+    command_V = np.fft.irfft(lines, samples)
+    command_V = np.tile(50.0 + 40.0 * command_V / np.abs(command_V).max(), 3)
+    stroke_N = 0.6 * command_V
+    for threshold_V in (5.0, 15.0):
+        play = command_V[0]
+        for k, value in enumerate(command_V):
+            play = min(max(play, value - threshold_V), value + threshold_V)
+            stroke_N[k] += 0.2 * play
+    at_Hz = np.fft.rfftfreq(2 * samples, 1.0 / rate_Hz)
+    response = sum(gain * f**2 / (f**2 - at_Hz**2 + 0.06j * f * at_Hz) for f, gain in frequencies)
+    force_N = np.fft.irfft(np.fft.rfft(stroke_N[samples:]) * response, 2 * samples)
+    force_N += 0.05 * np.random.default_rng(1).normal(size=force_N.size)
+    channels = {"voltage_V": command_V[samples:], "force_N": force_N}
+    return Recording(np.arange(force_N.size) / rate_Hz, channels, {}, "behind_plays.csv")
+
+
+def test_modes_behind_the_hysteresis_are_identified():
+    found = piezod.identify(behind_plays(((7.2, 0.6), (9.2, 0.3), (37.5, 0.1))))
+    law = found.model.unnamed_law
+    np.testing.assert_allclose(sorted(mode.frequency_Hz for mode in law.modes), [7.2, 9.2, 37.5], rtol=5e-3)
+    np.testing.assert_allclose([mode.damping_ratio for mode in law.modes], 0.03, rtol=0.15)
+    assert found.identification.explained > 0.98
+
+
+def test_a_single_mode_is_left_to_the_diagnosis_which_has_a_name_for_it():
+    found = piezod.identify(behind_plays(((8.0, 1.0),)))
+    assert not found.useful
+    assert found.model.unnamed_law is None
+
+
 def test_an_input_that_changes_the_gain_is_not_taken_for_noise():
     """Repeats of the velocity differ, as with noise, but each value holds for 0.1 s and grows with the force."""
     given = piezod.identify(damped(1), input="velocity_mm_s", output="force_N").model

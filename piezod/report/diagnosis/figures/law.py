@@ -55,7 +55,8 @@ def _response_figure(law: UnnamedLaw, units: tuple[str, str]) -> tuple[figure, d
     dt_s = law.smoothing_s  # the sample period of the recordings that it was fitted to
     frequency_Hz = frequency_Hz[(frequency_Hz >= wide_Hz[0]) & (frequency_Hz <= 0.5 / dt_s)]
     columns: dict[str, Array] = {"frequency": frequency_Hz, "gain": np.abs(law.response(frequency_Hz, dt_s))}
-    plot = new_figure("", "frequency [Hz]", f"gain [{units[1]}/{units[0]}]", 300, x_axis="log")
+    unit = f"{units[1]}/{units[0]}" if law.drivers[0].driver == "command" else "1"
+    plot = new_figure("", "frequency [Hz]", f"gain [{unit}]", 300, x_axis="log")
     draw_curve(plot, column_source(columns), "gain", "gain", BLUE, x="frequency", width=2.0)
     return finish(plot), columns
 
