@@ -13,7 +13,7 @@ from piezod.identify.identification import Identification
 from piezod.identify.order import Candidate
 from piezod.identify.simulation import simulate
 from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
-from piezod.model import without_inverse
+from piezod.model import Model, without_inverse
 from piezod.recording import Recording
 from piezod.report.dynamics import dynamics
 from piezod.report.figures.layout import decimated, finish_figure
@@ -51,12 +51,22 @@ def identification_as_dict(identification: Identification) -> dict[str, Any]:
         "verdict": identification.verdict,
         "explained": identification.explained,
         "noise": None if identification.noise is None else asdict(identification.noise),
+        "linear_dynamics": _dynamics_as_dict(identification.model),
         "notes": identification.notes,
         "candidates": [
             {"plays": c.plays, "dead_zones": c.zones, "rms_fit": c.rms_fit, "rms_held_out": c.rms_held_out}
             for c in identification.candidates
         ],
     }
+
+
+def _dynamics_as_dict(model: Model) -> dict[str, Any] | None:
+    """Modes and lags parallel to the hysteresis; None: there are none."""
+    law = model.unnamed_law
+    if law is None:
+        return None
+    modes = [{"frequency_Hz": mode.frequency_Hz, "damping_ratio": mode.damping_ratio} for mode in law.modes]
+    return {"modes": modes, "lags_s": [memory_s for memory_s in law.memories_s if memory_s > 0.0]}
 
 
 def print_identification(identification: Identification) -> None:

@@ -5,6 +5,7 @@ import pytest
 
 import piezod
 from piezod.recording import Recording
+from piezod.report.identification import identification_as_dict
 
 
 def modal(seed):
@@ -46,6 +47,9 @@ def test_modes_beside_the_hysteresis_are_identified(modal_model):
     np.testing.assert_allclose([frequency_Hz for frequency_Hz, _ in modes], [7.2, 9.2, 37.5], rtol=2e-3)
     np.testing.assert_allclose([ratio for _, ratio in modes], 0.02, rtol=0.05)
     assert modal_model.useful
+    told = identification_as_dict(modal_model.identification)["linear_dynamics"]
+    assert sorted(mode["frequency_Hz"] for mode in told["modes"]) == [frequency_Hz for frequency_Hz, _ in modes]
+    assert told["lags_s"] == []
     assert modal_model.model.provenance.fit.rms_held_out == pytest.approx(0.03, rel=0.05), "the noise"
 
 
