@@ -106,18 +106,23 @@ def test_a_process_that_pauses_within_a_tick_does_not_write_its_plan(ring_log):
     assert len(link.voltages) == written
 
 
-def test_an_output_that_does_not_read_back_at_rest_is_a_fault(ring_log):
-    link = FakeLink()
-    loop = armed_loop(link, ring_log)
-    run(loop, 300)
+def read_back_always(link, readback_V):
+    """Let the device read back one voltage, whatever is written."""
     exchange = link.exchange
 
     def stays(voltage_V):
         result = exchange(voltage_V)
-        link.reading.voltage_readback_V = 30.0
+        link.reading.voltage_readback_V = readback_V
         return result
 
     link.exchange = stays
+
+
+def test_an_output_that_does_not_read_back_at_rest_is_a_fault(ring_log):
+    link = FakeLink()
+    loop = armed_loop(link, ring_log)
+    run(loop, 300)
+    read_back_always(link, 30.0)
     loop.request_stop()
     run(loop, 1000)
     assert (loop.supervisor.state, loop.supervisor.fault) == (State.FAULT, Cause.READBACK)
@@ -127,14 +132,7 @@ def test_the_readback_has_the_time_of_a_lost_connection_to_reach_rest_from_the_l
     link = FakeLink()
     loop = armed_loop(link, ring_log, comm_loss_ms=150.0)
     run(loop, 300)
-    exchange = link.exchange
-
-    def stays(voltage_V):
-        result = exchange(voltage_V)
-        link.reading.voltage_readback_V = 30.0
-        return result
-
-    link.exchange = stays
+    read_back_always(link, 30.0)
     loop.request_stop()
     ticks_at_rest = 0
     while loop.supervisor.state is State.RAMP_DOWN or not ticks_at_rest:
