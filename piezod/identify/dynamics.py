@@ -11,18 +11,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezod.arrays import Array
-from piezod.estimation.fit.linear_dynamics import Driven, LinearDynamics, Poles, fit_linear_dynamics
+from piezod.estimation.fit.linear_dynamics import LinearDynamics, fit_linear_dynamics
+from piezod.estimation.fit.pole_starts import Driven, Poles
 from piezod.estimation.recordings.unknown_past import fitted_past
 from piezod.identify.options import Options
 from piezod.identify.order import residual
 from piezod.identify.selection import Selection, reduce_smooth_base
 from piezod.model.parameters import FitFigures, Hysteresis
-from piezod.model.unnamed_law import Axis, Driver, LawStep, UnnamedLaw
+from piezod.model.unnamed_law import Driver, LawStep, UnnamedLaw
 from piezod.recording import Recording
 
-ROUNDS = (
-    12  # fits of dynamics and hysteresis in turn; behind plays and three modes the error still falls by 3 % a round
-)
+ROUNDS = 12  # fits in turn; with three modes behind plays the error still falls by 4 % a round
 MOST_OF_ONE_POLE = 0.25
 """Largest squared error, relative to that of one pole, at which several poles are taken: one pole is a resonance, a lag
 or a filter of the catalogue, which a diagnosis names and the inverse compensates."""
@@ -65,7 +64,9 @@ def hysteresis_and_dynamics(
             return result
         poles = dynamics.poles
         driver: Driver = "command" if result is None else "reading"
-        law = _law(replace(dynamics, direct=-float(dynamics.gains.real.sum())), driven, driver)
+        dynamics = replace(dynamics, direct=-float(dynamics.gains.real.sum()))
+        dt_s, commands = max(recording.dt_s for recording in driven), [recording.command for recording in driven]
+        law = dynamics.as_law(driver, commands, dt_s, since="identification")
         rest = [_without(law, r, drive, y) for r, drive, (_, y) in zip(recordings, drives, pairs, strict=True)]
         selection = reduce_smooth_base(recordings, [(u, y) for (u, _), y in zip(pairs, rest, strict=True)], options)
         if result is not None and selection.chosen.rms_held_out >= result.selection.chosen.rms_held_out:
@@ -94,22 +95,6 @@ def _relative_to(figures: FitFigures, measured: Array) -> FitFigures:
             f"nrmse_percent_{part}": 100.0 * (1.0 - (getattr(figures, f"rms_{part}") or 0.0) / spread)
             for part in ("fit", "held_out")
         }
-    )
-
-
-def _law(dynamics: LinearDynamics, driven: Sequence[Driven], driver: Driver) -> UnnamedLaw:
-    """Linear dynamics as an unnamed law."""
-    commands = np.concatenate([recording.command for recording in driven])
-    low, high = float(commands.min()), float(commands.max())
-    memories_s, rows, modes = dynamics.tables((low, high))
-    return UnnamedLaw(
-        drivers=(Axis(driver=driver, low=low, high=high, nodes=2),),
-        dead_band=1e-6 * (high - low),
-        smoothing_s=max(recording.dt_s for recording in driven),
-        memories_s=tuple(memories_s),
-        tables=tuple(tuple(row) for row in rows),
-        modes=tuple(modes),
-        since="identification",
     )
 
 

@@ -82,9 +82,8 @@ class ModbusLink:
         elif set_point is not None and set_point.has_sequence and "command_echo" in reads:
             self._held = HeldNumber(wire, config.unit_id, reads["command_echo"])
         self._written_generation = -1
-        self._exchange_generation = self._poll_generation = (
-            ANY  # connection of the last good exchange, of the last poll
-        )
+        # connections of the last good exchange and of the last poll
+        self._exchange_generation = self._poll_generation = ANY
         self._number = 0  # of the command that the device holds
         self.time_limit_s = inf
         self.counts = [0] * len(ExchangeResult)

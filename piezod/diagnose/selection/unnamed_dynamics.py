@@ -5,15 +5,17 @@ linear dynamics predict left-out blocks better. They are written as an unnamed l
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from piezod.arrays import Array
 from piezod.diagnose.selection.significance import sign_test_p
 from piezod.diagnose.selection.unnamed import AS_WELL, LEAST, SIGNIFICANT, FittedLaw
-from piezod.estimation.fit.linear_dynamics import Driven, LinearDynamics, fit_linear_dynamics
+from piezod.estimation.fit.linear_dynamics import LinearDynamics, fit_linear_dynamics
+from piezod.estimation.fit.pole_starts import Driven
 from piezod.estimation.recordings.series import Series
-from piezod.model.unnamed_law import Axis, LawStep, UnnamedLaw
+from piezod.model.unnamed_law import LawStep
 
 TRIED = 10  # numbers of poles that are compared, which the p-value counts as trials
 
@@ -28,19 +30,11 @@ def fit_unnamed_dynamics(series: Sequence[Series], modelled: Sequence[Array], fl
         for s, model in zip(series, modelled, strict=True)
     ]
     diagnosed = [k for k, s in enumerate(series) if s.role == "recording"]
-    since = fit_linear_dynamics([recordings[k] for k in diagnosed])
-    if since is None:
+    chosen = fit_linear_dynamics([recordings[k] for k in diagnosed])
+    if chosen is None:
         return None
-    chosen, already = since, False
-    if len(diagnosed) < len(series) and (everywhere := fit_linear_dynamics(recordings)) is not None:
-        pieces = np.concatenate(
-            [np.full(everywhere.errors.size // len(series), k in diagnosed) for k in range(len(series))]
-        )
-        already = float(everywhere.errors[pieces].sum()) < AS_WELL * float(since.errors.sum())
-        if already:
-            chosen = LinearDynamics(
-                everywhere.poles, everywhere.direct, everywhere.gains, everywhere.errors[pieces], since.references
-            )
+    everywhere = _everywhere(recordings, diagnosed, chosen) if len(diagnosed) < len(series) else None
+    already, chosen = everywhere is not None, everywhere or chosen
     p = min(1.0, TRIED * sign_test_p(np.log(chosen.references / chosen.errors)))
     variance, samples = 0.0, 0
     for k in diagnosed:
@@ -50,24 +44,20 @@ def fit_unnamed_dynamics(series: Sequence[Series], modelled: Sequence[Array], fl
     after = before * float(np.sqrt(max(1.0 - chosen.explained, 0.0)))
     if p > SIGNIFICANT or before**2 - after**2 < LEAST * max(before**2 - floor**2, 0.0):
         return None
-    law = _law(chosen, series, [series[k] for k in diagnosed])
-    lags_s = tuple(one for one in law.memories_s if one > 0.0)
+    commands, dt_s = [s.command_V for s in series], max(s.dt_s for s in series)
+    law = chosen.as_law("command", commands, dt_s)
+    added = [LawStep(law, series[k].dt_s).run(commands[k], commands[k])[series[k].counts] for k in diagnosed]
+    law = chosen.as_law("command", commands, dt_s, tare=float(np.mean(np.concatenate(added))))
+    lags_s = tuple(memory_s for memory_s in law.memories_s if memory_s > 0.0)
     return FittedLaw(law, before, after, p, lags_s, already, None)
 
 
-def _law(dynamics: LinearDynamics, series: Sequence[Series], diagnosed: Sequence[Series]) -> UnnamedLaw:
-    """Dynamics as an unnamed law of the command, without mean over the diagnosed recordings."""
-    low, high = min(float(s.command_V.min()) for s in series), max(float(s.command_V.max()) for s in series)
-    memories_s, rows, modes = dynamics.tables((low, high))
-    law = UnnamedLaw(
-        drivers=(Axis(driver="command", low=low, high=high, nodes=2),),
-        dead_band=1e-6 * (high - low),
-        smoothing_s=max(s.dt_s for s in series),
-        memories_s=tuple(memories_s),
-        tables=tuple(tuple(row) for row in rows),
-        modes=tuple(modes),
-    )
-    added = [LawStep(law, s.dt_s).run(s.command_V, s.command_V)[s.counts] for s in diagnosed]
-    tare = float(np.mean(np.concatenate(added)))
-    rows[0] = [value - tare for value in rows[0]]
-    return law.model_copy(update={"tables": tuple(tuple(row) for row in rows)})
+def _everywhere(recordings: Sequence[Driven], diagnosed: Sequence[int], since: LinearDynamics) -> LinearDynamics | None:
+    """Dynamics of all recordings; None: a fit of the diagnosed recordings only predicts these much better."""
+    fitted = fit_linear_dynamics(recordings, since.poles)
+    if fitted is None:
+        return None
+    errors = fitted.errors.reshape(len(recordings), -1)[diagnosed].ravel()
+    if float(errors.sum()) >= AS_WELL * float(since.errors.sum()):
+        return None
+    return replace(fitted, errors=errors, references=since.references)

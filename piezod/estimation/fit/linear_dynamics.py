@@ -1,75 +1,29 @@
 """Linear dynamics from a drive to the reading: a direct gain, lags and modes, fitted to the residual of a model.
 
-The poles start from equation-error models of several orders at several rates, each improved by prefilters. Gauss-Newton
-steps then lower the error of the free run, in which the gains are linear. Every fit has the decays of an unknown past,
-so a recording may begin amid motion.
+Gauss-Newton steps move the poles from the starts of `pole_starts.py`, and lower the error of the free run. The gains
+follow by least squares. Every fit has the decays of an unknown past, so a recording may begin amid motion.
 
-K. Steiglitz, L. E. McBride (1965), A technique for the identification of linear systems, IEEE Transactions on Automatic
-Control 10(4). G. H. Golub, V. Pereyra (1973), The differentiation of pseudo-inverses and nonlinear least squares
+G. H. Golub, V. Pereyra (1973), The differentiation of pseudo-inverses and nonlinear least squares
 problems whose variables separate, SIAM Journal on Numerical Analysis 10(2).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from piezod.arrays import Array
-from piezod.model.unnamed_law import Mode, behind_modes
-
-Poles = NDArray[np.complex128]
-"""Real poles, and the upper pole of each complex pair, shape (K,) [1/s]."""
+from piezod.estimation.fit.pole_starts import RIDGE, Driven, Poles, fade, starting_poles
+from piezod.model.unnamed_law import Axis, Driver, Mode, UnnamedLaw, behind_modes
 
 MOST_ROWS = 20_000  # of a recording; longer ones are averaged over boxes of samples
-BOXES = (1, 4, 16, 64)  # rates of the start, in samples: a model of many samples a period is badly conditioned
-LEAST_ROWS = 200  # of an averaged recording
-ORDERS = (1, 2, 4, 6, 8, 12, 16)
-PREFILTERS = 4  # rounds of Steiglitz and McBride
-FASTEST = 0.5  # shortest time constant [samples of the start]; a faster one is a direct gain
-LONGEST, LONGEST_RINGING = 0.5, 0.1
-"""Longest time constant of a lag, and of a mode, relative to the recording: a mode that rings longer is a tone."""
 MOST_DAMPED = 0.999  # damping ratio of a mode; a pair beyond it is two lags
 FOLDS, PIECES = 4, 5  # contiguous folds of each recording, and pieces of a fold with an error each
 SIMPLER = 0.9  # largest ratio of the squared errors of omitted folds at which more poles are taken
 PATIENCE = 2  # larger numbers of poles that predict no better before the search ends: a mode may need two more
 STEPS, SMALL, FALL = 20, 1e-5, 1e-4  # Gauss-Newton: steps, relative difference of a pole, least relative fall of a step
-RIDGE = 1e-10  # relative to the largest diagonal: nearly equal poles have large opposite gains
-
-
-@dataclass(frozen=True)
-class Driven:
-    """Command and residual of a recording.
-
-    Parameters
-    ----------
-    command, residual
-        Shape (N,) [input unit], [output unit].
-    counts
-        Whether a residual counts, shape (N,).
-    dt_s
-        Sample period [s].
-    noise
-        Noise of a residual [output unit].
-    """
-
-    command: Array
-    residual: Array
-    counts: NDArray[np.bool_]
-    dt_s: float
-    noise: float
-
-    def averaged(self, box: int) -> "Driven":
-        """Means over boxes of samples; a box with a missing residual does not count."""
-        rows = self.command.size // box
-        shape = (rows, box)
-        command, residual = (
-            values[: rows * box].reshape(shape).mean(axis=1)
-            for values in (self.command, np.where(self.counts, self.residual, 0.0))
-        )
-        counts: NDArray[np.bool_] = np.all(self.counts[: rows * box].reshape(shape), axis=1)
-        return Driven(command, residual, counts, box * self.dt_s, self.noise / np.sqrt(box))
 
 
 @dataclass(frozen=True)
@@ -104,30 +58,48 @@ class LinearDynamics:
         """Share of the squared residual that the dynamics predict on omitted folds; below 0: they make it worse."""
         return 1.0 - float(self.errors.sum() / max(self.references.sum(), 1e-300))
 
-    def tables(self, ends: Sequence[float]) -> tuple[list[float], list[list[float]], list[Mode]]:
-        """Memories [s] with their rows, and modes, of an unnamed law whose only driver is the command.
+    def as_law(
+        self,
+        driver: Driver,
+        driven: Sequence[Array],
+        dt_s: float,
+        *,
+        tare: float = 0.0,
+        since: Literal["identification", "later"] = "later",
+    ) -> UnnamedLaw:
+        """Unnamed law of one driver.
 
         Parameters
         ----------
-        ends
-            Commands at the nodes [input unit].
+        driven
+            Values of the driver, shape (N,) each; their range is that of the law [input unit].
+        dt_s
+            Sample period [s].
+        tare
+            Constant that is subtracted [output unit].
+        since
+            When the law appeared.
         """
-        memories, rows, modes = [0.0], [[self.direct * end for end in ends]], []
+        ends = min(float(values.min()) for values in driven), max(float(values.max()) for values in driven)
+        memories_s, rows, modes = [0.0], [tuple(self.direct * end - tare for end in ends)], []
         for pole, gain in zip(self.poles, self.gains, strict=True):
+            real, imaginary = (tuple(float(part) * end for end in ends) for part in (gain.real, gain.imag))
             if pole.imag == 0.0:
-                memories.append(-1.0 / float(pole.real))
-                rows.append([float(gain.real) * end for end in ends])
+                memories_s.append(-1.0 / float(pole.real))
+                rows.append(real)
                 continue
-            natural = float(abs(pole))
-            modes.append(
-                Mode(
-                    frequency_Hz=natural / (2.0 * np.pi),
-                    damping_ratio=-float(pole.real) / natural,
-                    real=tuple(float(gain.real) * end for end in ends),
-                    imaginary=tuple(float(gain.imag) * end for end in ends),
-                )
-            )
-        return memories, rows, modes
+            natural, damping_ratio = float(abs(pole)), -float(pole.real) / float(abs(pole))
+            frequency_Hz = natural / (2.0 * np.pi)
+            modes.append(Mode(frequency_Hz=frequency_Hz, damping_ratio=damping_ratio, real=real, imaginary=imaginary))
+        return UnnamedLaw(
+            drivers=(Axis(driver=driver, low=ends[0], high=ends[1], nodes=2),),
+            dead_band=1e-6 * (ends[1] - ends[0]),
+            smoothing_s=dt_s,
+            memories_s=tuple(memories_s),
+            tables=tuple(rows),
+            modes=tuple(modes),
+            since=since,
+        )
 
 
 def fit_linear_dynamics(recordings: Sequence[Driven], known: Poles | None = None) -> LinearDynamics | None:
@@ -142,7 +114,7 @@ def fit_linear_dynamics(recordings: Sequence[Driven], known: Poles | None = None
     """
     longest = max(recording.command.size for recording in recordings)
     rows = [recording.averaged(max(1, -(-longest // MOST_ROWS))) for recording in recordings]
-    tried = [_solved(rows, poles) for poles in (_starts(rows) if known is None else [known])]
+    tried = [_solved(rows, poles) for poles in (starting_poles(rows) if known is None else [known])]
     if not tried:
         return None
     best: dict[int, LinearDynamics] = {}
@@ -153,7 +125,7 @@ def fit_linear_dynamics(recordings: Sequence[Driven], known: Poles | None = None
     duration_s = max(recording.command.size * recording.dt_s for recording in recordings)
     for size in sorted(best):  # more poles are refined until they no longer predict better
         poles = _refined(rows, best[size].poles)
-        refined = _solved(rows, poles[_fade(poles, duration_s)])
+        refined = _solved(rows, poles[fade(poles, duration_s)])
         if size == 1:
             with_one_pole = float(refined.errors.sum())
         if chosen is None or 1.0 - refined.explained < SIMPLER * (1.0 - chosen.explained):
@@ -180,91 +152,6 @@ def dynamics_words(modes: Sequence[tuple[float, float]], lags_s: Sequence[float]
     words = [f"a mode at {frequency_Hz:.4g} Hz (damping {ratio:.2g})" for frequency_Hz, ratio in sorted(modes)]
     words += [f"a lag of {lag_s:.3g} s" for lag_s in sorted(lags_s)]
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
-
-
-def _starts(recordings: Sequence[Driven]) -> list[Poles]:
-    """Poles of equation-error models of each order at each rate, from the longest recording."""
-    longest = max(recordings, key=lambda recording: recording.command.size)
-    duration_s = longest.command.size * longest.dt_s
-    starts = []
-    for box in BOXES:
-        rows = longest.averaged(box)
-        if rows.command.size < LEAST_ROWS:
-            break
-        command, residual = rows.command - rows.command.mean(), _filled(rows)
-        for order in ORDERS:
-            if 8 * order > rows.command.size:
-                break
-            poles = _continuous(_steiglitz_mcbride(command, residual, order), rows.dt_s, duration_s)
-            if poles.size:
-                starts.append(poles)
-    return starts
-
-
-def _filled(rows: Driven) -> Array:
-    """Residual without its mean; missing ones are interpolated."""
-    places = np.arange(rows.residual.size)
-    filled = np.interp(places, places[rows.counts], rows.residual[rows.counts])
-    centred: Array = filled - filled.mean()
-    return centred
-
-
-def _steiglitz_mcbride(command: Array, residual: Array, order: int) -> Array:
-    """Denominator of a transfer function of an order, shape (order + 1,)."""
-    none: Array = np.eye(1, order + 1)[0]
-    denominator = none
-    for _ in range(PREFILTERS):
-        u, y = _recursive(command, denominator), _recursive(residual, denominator)
-        rows = np.array([-_delayed(y, k) for k in range(1, order + 1)] + [_delayed(u, k) for k in range(order + 1)]).T
-        gram = rows.T @ rows
-        gram[np.diag_indices_from(gram)] += RIDGE * np.diag(gram).max() + 1e-300
-        denominator = _stable(np.concatenate(([1.0], np.linalg.solve(gram, rows.T @ y)[:order])))
-        if not np.isfinite(denominator).all():
-            return none
-    return denominator
-
-
-def _stable(denominator: Array) -> Array:
-    """Denominator with the roots outside the unit circle mirrored into it."""
-    if not np.isfinite(denominator).all():
-        return denominator
-    roots = np.roots(denominator)
-    outside = np.abs(roots) >= 1.0
-    roots[outside] = 0.999 / np.conj(roots[outside])
-    mirrored: Array = np.real(np.poly(roots))
-    return mirrored
-
-
-def _delayed(values: Array, k: int) -> Array:
-    delayed: Array = np.concatenate((np.zeros(k), values[: values.size - k]))
-    return delayed
-
-
-@numba.njit(cache=True)
-def _recursive(values: Array, denominator: Array) -> Array:
-    """Values behind 1 / denominator, from rest."""
-    behind = np.empty(values.size)
-    for k in range(values.size):
-        value = values[k]
-        for j in range(1, min(denominator.size, k + 1)):
-            value -= denominator[j] * behind[k - j]
-        behind[k] = value
-    return behind
-
-
-def _continuous(denominator: Array, dt_s: float, duration_s: float) -> Poles:
-    """Continuous poles of a sampled denominator; only poles that the samples can show."""
-    roots = np.roots(denominator)
-    roots = roots[(np.abs(roots) > np.exp(-1.0 / FASTEST)) & (np.abs(roots) < 1.0)]
-    roots = roots[(roots.imag > 0.0) | ((roots.imag == 0.0) & (roots.real > 0.0))]
-    poles: Poles = np.log(roots.astype(complex)) / dt_s
-    return poles[_fade(poles, duration_s)]
-
-
-def _fade(poles: Poles, duration_s: float) -> NDArray[np.bool_]:
-    """Whether each pole fades early enough within a recording to be no tone or drift, shape (K,)."""
-    fade: NDArray[np.bool_] = -poles.real * np.where(poles.imag == 0.0, LONGEST, LONGEST_RINGING) * duration_s > 1.0
-    return fade
 
 
 def _columns(rows: Driven, poles: Poles) -> list[Array]:

@@ -7,23 +7,32 @@ import piezod
 from piezod.recording import Recording
 from piezod.report.identification import identification_as_dict
 
+RATE_HZ = 500.0
+
+
+def multisine(samples, low_Hz, high_Hz, seed):
+    """A period of a multisine with a peak of 1."""
+    frequencies_Hz = np.fft.rfftfreq(samples, 1.0 / RATE_HZ)
+    band = (frequencies_Hz >= low_Hz) & (frequencies_Hz <= high_Hz)
+    lines = np.where(band, np.exp(2j * np.pi * np.random.default_rng(seed).uniform(size=band.size)), 0.0)
+    period = np.fft.irfft(lines, samples)
+    return period / np.abs(period).max()
+
+
+def through(modes, signal, damping_ratio):
+    """A periodic signal through parallel modes (frequency, gain)."""
+    at_Hz = np.fft.rfftfreq(signal.size, 1.0 / RATE_HZ)
+    response = sum(gain * f**2 / (f**2 - at_Hz**2 + 2j * damping_ratio * f * at_Hz) for f, gain in modes)
+    return np.fft.irfft(np.fft.rfft(signal) * response, signal.size)
+
 
 def modal(seed):
     """Two exact periods of a multisine from 1 to 60 Hz through modes at 7.2, 9.2 and 37.5 Hz, with noise of 0.03 N."""
-    rate_Hz, samples = 500.0, 5000
-    frequencies_Hz = np.fft.rfftfreq(samples, 1.0 / rate_Hz)
-    band = (frequencies_Hz >= 1.0) & (frequencies_Hz <= 60.0)
-    lines = np.where(band, np.exp(2j * np.pi * np.random.default_rng(3).uniform(size=band.size)), 0.0)
-    command_V = np.fft.irfft(lines, samples)
-    response = sum(
-        gain * mode_Hz**2 / (mode_Hz**2 - frequencies_Hz**2 + 0.04j * mode_Hz * frequencies_Hz)
-        for mode_Hz, gain in ((7.2, 1.0), (9.2, 0.5), (37.5, 0.3))
-    )
-    size = 5.0 / np.abs(command_V).max()
-    force_N = size * np.tile(np.fft.irfft(lines * response, samples), 2)
+    command_V = np.tile(5.0 * multisine(5000, 1.0, 60.0, 3), 2)
+    force_N = through(((7.2, 1.0), (9.2, 0.5), (37.5, 0.3)), command_V, 0.02)
     force_N += 0.03 * np.random.default_rng(seed).normal(size=force_N.size)
-    channels = {"voltage_V": size * np.tile(command_V, 2), "force_N": force_N}
-    return Recording(np.arange(2 * samples) / rate_Hz, channels, {}, f"modal{seed}.csv")
+    channels = {"voltage_V": command_V, "force_N": force_N}
+    return Recording(np.arange(force_N.size) / RATE_HZ, channels, {}, f"modal{seed}.csv")
 
 
 def damped(seed):
@@ -61,26 +70,20 @@ def test_its_own_model_explains_another_record_of_the_bench(modal_model):
     assert piezod.diagnose(modal(2), modal_model.model).verdict == "matches"
 
 
-def behind_plays(frequencies):
+def behind_plays(modes):
     """Periodic readings of two plays before parallel modes (frequency, gain) with a damping of 0.03."""
-    rate_Hz, samples = 500.0, 4000
-    lines_Hz = np.fft.rfftfreq(samples, 1.0 / rate_Hz)
-    band = (lines_Hz >= 0.5) & (lines_Hz <= 60.0)
-    lines = np.where(band, np.exp(2j * np.pi * np.random.default_rng(11).uniform(size=band.size)), 0.0)
-    command_V = np.fft.irfft(lines, samples)
-    command_V = np.tile(50.0 + 40.0 * command_V / np.abs(command_V).max(), 3)
+    samples = 4000
+    command_V = 50.0 + 40.0 * np.tile(multisine(samples, 0.5, 60.0, 11), 3)
     stroke_N = 0.6 * command_V
     for threshold_V in (5.0, 15.0):
         play = command_V[0]
         for k, value in enumerate(command_V):
             play = min(max(play, value - threshold_V), value + threshold_V)
             stroke_N[k] += 0.2 * play
-    at_Hz = np.fft.rfftfreq(2 * samples, 1.0 / rate_Hz)
-    response = sum(gain * f**2 / (f**2 - at_Hz**2 + 0.06j * f * at_Hz) for f, gain in frequencies)
-    force_N = np.fft.irfft(np.fft.rfft(stroke_N[samples:]) * response, 2 * samples)
+    force_N = through(modes, stroke_N[samples:], 0.03)
     force_N += 0.05 * np.random.default_rng(1).normal(size=force_N.size)
     channels = {"voltage_V": command_V[samples:], "force_N": force_N}
-    return Recording(np.arange(force_N.size) / rate_Hz, channels, {}, "behind_plays.csv")
+    return Recording(np.arange(force_N.size) / RATE_HZ, channels, {}, "behind_plays.csv")
 
 
 def test_modes_behind_the_hysteresis_are_identified():

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from piezod.estimation.fit.linear_dynamics import Driven, fit_linear_dynamics
+from piezod.estimation.fit.linear_dynamics import fit_linear_dynamics
+from piezod.estimation.fit.pole_starts import Driven
 from piezod.model.unnamed_law import Axis, LawStep, Mode, UnnamedLaw
 
 DT_S, SAMPLES = 0.002, 5000
@@ -74,18 +75,10 @@ def test_missing_readings_do_not_count():
     np.testing.assert_allclose(sorted(abs(dynamics.poles) / 2.0 / np.pi), [7.2, 9.2, 37.5], rtol=5e-3)
 
 
-def law_of(dynamics, low, high):
-    memories_s, rows, modes = dynamics.tables((low, high))
-    axis = Axis(driver="command", low=low, high=high, nodes=2)
-    return UnnamedLaw(
-        drivers=(axis,), dead_band=1e-6, smoothing_s=DT_S, memories_s=memories_s, tables=rows, modes=tuple(modes)
-    )
-
-
 def test_the_law_predicts_another_drive_from_rest():
     dynamics, *_ = found(MODES, ((0.4, 2.0),))
     other, wanted = multisine(MODES, ((0.4, 2.0),), 0.0, 9)
-    law = law_of(dynamics, -6.0, 6.0)
+    law = dynamics.as_law("command", [np.array([-6.0, 6.0])], DT_S)
     added = LawStep(law, DT_S).run(other, other)
     error = (added - wanted)[SAMPLES:]  # the start from rest has died out in the second period
     assert np.std(error) < 0.02 * np.std(wanted)
