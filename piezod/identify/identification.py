@@ -179,7 +179,7 @@ def _with_dynamics(static: Identification, recordings: Sequence[Recording], opti
     )
     modes = [(mode.frequency_Hz, mode.damping_ratio) for mode in both.law.modes]
     parts = dynamics_words(modes, [memory_s for memory_s in both.law.memories_s if memory_s > 0.0])
-    note = f"no hysteresis alone explains the output: linear dynamics beside it, with no steady gain: {parts}"
+    note = f"the output follows linear dynamics in addition to the hysteresis: {parts}"
     return replace(
         static,
         model=model,
