@@ -200,7 +200,7 @@ def _loose(pair: _Pair) -> Iterator[str]:
             )
     yield (
         f"{pair.output} hardly follows {pair.input}, correlation {correlation:.2f}, should be above {LOOSE:g}; "
-        "check that they were recorded together"
+        "were they recorded together, or do modes, filters or delays lie between them?"
     )
 
 
