@@ -58,10 +58,13 @@ def history(
     check_page(table)
     from piezod.history.checks import checks_text, find_checks
     from piezod.history.timeline import timeline_of
+    from piezod.history.trends import estimates_of, trends_of
     from piezod.history.words import step_clauses, verdict_of
     from piezod.report.next_step import after_history
 
     timeline, checks = timeline_of(models), find_checks(models)
+    estimates = estimates_of([check.dated for check in checks])
+    trends = trends_of(estimates)
     newest = timeline.steps[-1]
     verdict = checks[-1].verdict if checks else None
     step = after_history(newest.entry.paths[0], changed=bool(step_clauses(newest)), verdict=verdict)
@@ -71,12 +74,16 @@ def history(
         if table is not None:
             write_history_csv(table, timeline)
         if output is not None:
-            write_history_page(output, timeline, step=step)
+            write_history_page(output, timeline, trends=trends, estimates=estimates, step=step)
     if as_json:
-        more = {"checks": [c.as_dict() for c in checks], "next_step": step.as_dict()}
-        print(json.dumps(timeline.as_dict(verdict_of(timeline)) | more, indent=2))
+        more = {
+            "checks": [check.as_dict() for check in checks],
+            "trends": [trend.as_dict() for trend in trends],
+            "next_step": step.as_dict(),
+        }
+        print(json.dumps(timeline.as_dict(verdict_of(timeline, trends)) | more, indent=2))
     else:
-        print("\n".join(filter(None, [history_text(timeline), checks_text(checks)])))
+        print("\n".join(filter(None, [history_text(timeline, trends), checks_text(checks)])))
         print_next(step)
 
 

@@ -28,6 +28,7 @@ from piezod.diagnose.verdict.direct_findings import direct_findings
 from piezod.diagnose.verdict.evidence import base_of, finding_of, gone_finding, unchanged_effects
 from piezod.diagnose.verdict.extended import extended_model, with_error, with_joint_estimates
 from piezod.diagnose.verdict.information import information_of
+from piezod.diagnose.verdict.own_sizes import own_base, own_sizes
 from piezod.diagnose.verdict.simulated import FreeRun, GivenRuns, free_run, tared_rms
 from piezod.diagnose.verdict.tone_findings import gone_tones, is_unchanged_tone, tone_finding, with_tone_terms
 from piezod.diagnose.verdict.verdict import (
@@ -158,9 +159,13 @@ class DiagnosisInputs:
         span, before = widest_range(series), tared_rms(self.given_runs.diagnosed_runs)
         effects, tones = self._effects(result)
         effects += direct_findings(chain.series, self.frozen, remainder.residuals, before)
-        base = base_of(result)
+        own = own_sizes(coarse(self._as_known(chain)), result.hypothesis, result.given)
+        base = replace(base_of(result), here=own_base(self.model, own))
         written = self._written_model(result, effects, remainder.floor, span)
-        unchanged = unchanged_effects(result, self.model, written.model, effects, tones)
+        unchanged = [
+            replace(one, here={EFFECTS[one.name].size.name: own[one.name]} if one.name in own else {})
+            for one in unchanged_effects(result, self.model, written.model, effects, tones)
+        ]
         after, runs = written.rms, written.runs
         if self.given_runs.law_holds and runs and not result.differs and self._is_other_stack(chain, remainder.floor):
             base = replace(base, changed=True)
@@ -295,13 +300,14 @@ class DiagnosisInputs:
         after = tared_rms(runs)
         if not result.differs and (after >= RULES.better * before or above_noise(after, floor, span)):
             return given
-        weighted = [
-            replace(s, noise_N=known.noise_N) for s, known in zip(result.chain.series, self.series, strict=True)
-        ]
-        chain = result.chain.like(weighted)  # without the looser base of the search
-        information = information_of(chain, result.hypothesis, extended, self.hashes)
+        information = information_of(self._as_known(result.chain), result.hypothesis, extended, self.hashes)
         extended = with_error(extended.model_copy(update={"information": information}), after)
         return _WrittenModel(extended, after, runs)
+
+    def _as_known(self, chain: Chain) -> Chain:
+        """Chain without the looser base of the search."""
+        weighted = [replace(s, noise_N=known.noise_N) for s, known in zip(chain.series, self.series, strict=True)]
+        return chain.like(weighted)
 
     def _without(self, tones: Collection[str]) -> Model:
         """Given model without some tones; the given model itself without any."""

@@ -1,8 +1,8 @@
 """Checks of models: folders that `piezod diagnose` has written, also where the given model stays."""
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,12 @@ class Check:
     date: str
     verdict: str
     words: str
+    findings: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def dated(self) -> tuple[datetime, Mapping[str, Any]]:
+        """Date and findings."""
+        return datetime.fromisoformat(self.date), self.findings
 
     def as_dict(self) -> dict[str, Any]:
         """The check for JSON."""
@@ -76,6 +82,8 @@ def _read(place: Path) -> Check | None:
             date = datetime.strptime(stamp, STAMP).replace(tzinfo=UTC)
         except ValueError:
             date = datetime.fromtimestamp(path.stat().st_mtime, UTC)
-        return Check(place, date.isoformat(timespec="seconds"), str(findings["verdict"]), str(findings["words"]))
+        return Check(
+            place, date.isoformat(timespec="seconds"), str(findings["verdict"]), str(findings["words"]), findings
+        )
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -1,8 +1,9 @@
 """Comparison of the benches of an archive: their newest parameters, and the benches unlike the others."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from statistics import median
 from typing import Any
 
@@ -12,7 +13,8 @@ from piezod.history.archive_run import BenchRun, Diagnosed
 from piezod.history.changes import HALF_95
 from piezod.history.parameters import Key
 from piezod.history.timeline import Timeline, timeline_of
-from piezod.history.words import number, verdict_of, wording_of
+from piezod.history.trends import Estimate, Trend, estimates_of, trends_of
+from piezod.history.words import number, trend_words, verdict_of, wording_of
 
 SCHEMA = "piezod.fleet/1"
 OUTLIER = 3.5
@@ -35,11 +37,17 @@ class BenchState:
         Its models in order.
     words
         Its changes over time in a sentence.
+    estimates
+        Estimates of each recording alone, of recordings with a date.
+    trends
+        Slow changes that these show.
     """
 
     run: BenchRun
     timeline: Timeline
     words: str
+    estimates: Mapping[Key, Sequence[Estimate]]
+    trends: Sequence[Trend]
 
     @property
     def name(self) -> str:
@@ -79,10 +87,11 @@ class Fleet:
         """States of the benches after a run."""
         states = []
         for run in runs:
-            timeline = timeline_of(run.model_paths)
-            single = len(timeline.steps) == 1
-            words = f"nothing changed in {len(run.done)} recordings" if single else verdict_of(timeline)
-            states.append(BenchState(run, timeline, words))
+            timeline, estimates = timeline_of(run.model_paths), estimates_of(_dated(run.done))
+            trends = trends_of(estimates)
+            single = len(timeline.steps) == 1 and not trends
+            words = f"nothing changed in {len(run.done)} recordings" if single else verdict_of(timeline, trends)
+            states.append(BenchState(run, timeline, words, estimates, trends))
         return cls(tuple(states))
 
     @property
@@ -101,6 +110,8 @@ class Fleet:
         lines = [line for key in self.keys for line in self._outliers(key)]
         lines += self._rare_effects()
         for bench in self.benches:
+            wording = wording_of(bench.timeline.steps[-1].entry.model)
+            lines += [f"{bench.name}: {trend_words(trend, wording)}" for trend in bench.trends]
             if bench.verdict in FLAGGED:
                 lines.append(f"{bench.name}: the newest recording is {bench.verdict.replace('_', ' ')}")
         return lines
@@ -162,6 +173,12 @@ class Fleet:
         return lines
 
 
+def _dated(done: Sequence[Diagnosed]) -> list[tuple[datetime, dict[str, Any]]]:
+    """Date and findings of each recording that has both."""
+    pairs = ((one.recording.date, one.findings) for one in done)
+    return [(date, findings) for date, findings in pairs if date is not None and findings is not None]
+
+
 def _distance(value: Value, middle: float, spread: float) -> float:
     """Distance of a value from the median, over its own standard error and the spread of the benches."""
     own = (value.high - value.low) / (2.0 * HALF_95)
@@ -173,6 +190,7 @@ def _bench_as_dict(bench: BenchState) -> dict[str, Any]:
     return {
         "verdict": bench.verdict,
         "words": bench.words,
+        "trends": [trend.as_dict() for trend in bench.trends],
         "model": str(bench.run.model_path),
         "recordings": [
             {

@@ -1,5 +1,6 @@
 """Verdict of a history in words: each change with its values and its dates."""
 
+from collections.abc import Sequence
 from datetime import datetime
 
 from piezod.diagnose.findings import Value
@@ -8,6 +9,7 @@ from piezod.effects import EFFECTS
 from piezod.history.changes import EffectChange, ParameterChange
 from piezod.history.parameters import Key
 from piezod.history.timeline import Step, Timeline
+from piezod.history.trends import Trend
 from piezod.model import Model
 from piezod.model.parameters import BASE
 
@@ -17,12 +19,14 @@ MONTHS = (
 )  # fmt: skip
 
 
-def verdict_of(timeline: Timeline) -> str:
-    """Changes from model to model in one line, in their order; nothing but kept parameters are summed up."""
+def verdict_of(timeline: Timeline, trends: Sequence[Trend] = ()) -> str:
+    """Changes from model to model in one line, in their order, then slow changes; kept parameters are summed up."""
     steps = timeline.steps
-    if len(steps) == 1:
+    if len(steps) == 1 and not trends:
         return "one model, nothing to compare it with"
+    wording = wording_of(steps[-1].entry.model)
     clauses = [clause for step in steps for clause in step_clauses(step)]
+    clauses += [trend_words(trend, wording) for trend in trends]
     if not clauses:
         period = between(steps[0].entry.date, steps[-1].entry.date)
         return f"nothing changed in {len(steps)} models {period}; all parameters kept"
@@ -38,6 +42,13 @@ def step_clauses(step: Step) -> list[str]:
     return [f"{change_words(change, wording)} {period}" for change in step.changes if change.status != "kept"]
 
 
+def trend_words(trend: Trend, wording: Wording = VOLTS) -> str:
+    """Clause on a slow change, with its dates and its number of recordings."""
+    change = ParameterChange(trend.key, trend.before, trend.after, None, changed=True)
+    moved = _moved(change, _title(trend.key.effect), wording, named=True, how=" slowly")
+    return f"{moved} {between(trend.first, trend.last)} ({trend.count} recordings)"
+
+
 def wording_of(model: Model) -> Wording:
     """Units of a model for texts."""
     return Wording(model.input.unit, model.output.unit)
@@ -45,8 +56,7 @@ def wording_of(model: Model) -> Wording:
 
 def change_words(change: EffectChange, wording: Wording = VOLTS) -> str:
     """Clause on a changed, new or absent effect, without dates."""
-    title = "the stack" if change.name == BASE else EFFECTS[change.name].title if change.name in EFFECTS else ""
-    title = title or change.name.replace("_", " ")
+    title = _title(change.name)
     shown = [parameter for parameter in change.parameters if parameter.changed]
     if change.status == "changed" and shown:
         return listed(
@@ -93,11 +103,16 @@ def between(first: datetime, second: datetime) -> str:
     return f"between {_day(first)} and {_day(second)}"
 
 
+def _title(name: str) -> str:
+    """Title of an effect or of the base, by its name."""
+    return "the stack" if name == BASE else EFFECTS[name].title if name in EFFECTS else name.replace("_", " ")
+
+
 def _day(date: datetime) -> str:
     return f"{date.day} {MONTHS[date.month - 1]}"
 
 
-def _moved(change: ParameterChange, title: str, wording: Wording, *, named: bool) -> str:
+def _moved(change: ParameterChange, title: str, wording: Wording, *, named: bool, how: str = "") -> str:
     """Clause on a parameter with its old and new value."""
     assert change.before is not None
     assert change.after is not None
@@ -107,7 +122,7 @@ def _moved(change: ParameterChange, title: str, wording: Wording, *, named: bool
     label = change.key.label(change.after.unit)
     name = f"{label} of {title}" if (named or change.key.effect == BASE) and not label.startswith(PER) else title
     old = before if unit_before == unit else f"{before} {unit_before}"
-    return f"{name} {moved} from {old} to {after} {unit}".rstrip()
+    return f"{name} {moved}{how} from {old} to {after} {unit}".rstrip()
 
 
 def _figure(key: Key, value: Value, wording: Wording) -> tuple[str, str]:

@@ -80,7 +80,10 @@ def write_fleet_pages(folder: Path, fleet: Fleet, step: NextStep | None = None) 
         A file cannot be written.
     """
     for bench in fleet.benches:
-        write_history_page(folder / bench.name / BENCH_PAGE, bench.timeline, bench.words, recordings_html(bench))
+        page = folder / bench.name / BENCH_PAGE
+        write_history_page(
+            page, bench.timeline, bench.words, recordings_html(bench), trends=bench.trends, estimates=bench.estimates
+        )
     rows = fleet_rows(fleet)
     outstanding = "".join(f"<li>{html.escape(line)}</li>" for line in fleet.stands_out)
     links = "".join(

@@ -3,6 +3,7 @@
 import csv
 import html
 import io
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from piezod.diagnose.findings import Value
 from piezod.diagnose.verdict.words import PER_CENT, unit_words
 from piezod.history.parameters import Key
 from piezod.history.timeline import Step, Timeline
+from piezod.history.trends import Estimate, Trend
 from piezod.history.words import interval, verdict_of, wording_of
 from piezod.report.figures.layout import MOST_TICKS, apply_layout
 from piezod.report.next_step import NextStep
@@ -29,11 +31,11 @@ MARGIN = 0.15  # beyond the drawn values, relative to their range
 LEAST_SPAN = 0.02  # half of the least range of a panel, relative to the largest value
 
 
-def history_text(timeline: Timeline) -> str:
-    """Table of the models, the verdict, and notes."""
+def history_text(timeline: Timeline, trends: Sequence[Trend] = ()) -> str:
+    """Table of the models, the verdict with slow changes, and notes."""
     lines = text_table(history_rows(timeline), left_aligned=2)
     notes = [f"note: {step.entry.paths[0]}: {note}" for step in timeline.steps for note in step.notes]
-    return "\n".join([*lines, verdict_of(timeline), *notes])
+    return "\n".join([*lines, verdict_of(timeline, trends), *notes])
 
 
 def history_rows(timeline: Timeline) -> list[list[str]]:
@@ -79,7 +81,13 @@ def write_history_csv(path: Path, timeline: Timeline) -> None:
 
 
 def write_history_page(
-    path: Path, timeline: Timeline, words: str | None = None, recordings: str = "", step: NextStep | None = None
+    path: Path,
+    timeline: Timeline,
+    words: str | None = None,
+    recordings: str = "",
+    trends: Sequence[Trend] = (),
+    estimates: Mapping[Key, Sequence[Estimate]] | None = None,
+    step: NextStep | None = None,
 ) -> None:
     """Write the page: verdict, a panel for each parameter, table, and notes.
 
@@ -89,6 +97,8 @@ def write_history_page(
         Verdict; None: the verdict of the models.
     recordings
         HTML on the recordings of the bench, behind the table of the models.
+    trends, estimates
+        Slow changes, and the estimates of each recording alone.
     step
         Next step; None: the page has none.
 
@@ -97,14 +107,18 @@ def write_history_page(
     ConfigurationError
         The file cannot be written.
     """
-    words = words or verdict_of(timeline)
+    words, estimates = words or verdict_of(timeline, trends), estimates or {}
     rows = history_rows(timeline)
-    dates = _date_range(timeline)
-    panels = [_panel(timeline, key, dates) for key in timeline.keys]
+    dates = _date_range(timeline, estimates)
+    panels = [_panel(timeline, key, dates, estimates.get(key, ())) for key in timeline.keys]
+    for trend in trends:
+        _add_line(panels[timeline.keys.index(trend.key)], trend, timeline.unit_of(trend.key))
     notes = "".join(
         f"<li>{html.escape(f'{_name(step)}: {note}')}</li>" for step in timeline.steps for note in step.notes
     )
     legend = "Bars: 95 % intervals. Orange: changed since the parent, or since the model before."
+    legend += " Small dots: by each recording alone." if estimates else ""
+    legend += " Orange line: slow change." if trends else ""
     parts: list[Part] = [
         head_html("History of the models", f"{words[0].upper()}{words[1:]}."),
         next_step_html(step),
@@ -122,8 +136,8 @@ def _digits(value: Value) -> list[str]:
     return [f"{number:.10g}" for number in (value.value, value.low, value.high)]
 
 
-def _panel(timeline: Timeline, key: Key, dates: Range1d) -> figure:
-    """Value of a parameter over time, with interval bars; marked values are orange."""
+def _panel(timeline: Timeline, key: Key, dates: Range1d, estimates: Sequence[Estimate]) -> figure:
+    """Value of a parameter over time, with interval bars; marked values are orange, estimates small dots."""
     steps = [step for step in timeline.steps if key in step.parameters]
     unit = timeline.unit_of(key)
     factor = PER_CENT if unit == "1" else 1.0
@@ -139,13 +153,15 @@ def _panel(timeline: Timeline, key: Key, dates: Range1d) -> figure:
         }
     )
     shown = "%" if unit == "1" else wording_of(steps[0].entry.model).unit(unit)
+    alone = [factor * estimate.value.value for estimate in estimates]
     plot = figure(
         title=f"{key.heading(unit)} [{shown}]",
         x_axis_type="datetime",
         x_range=dates,
-        y_range=value_range(ends),
+        y_range=value_range(np.append(ends, alone)),
         height=PANEL_HEIGHT,
     )
+    plot.scatter([_plain(estimate.date) for estimate in estimates], alone, color=GREY, size=4)
     plot.line("date", "value", source=source, color=GREY)
     plot.segment("date", "low", "date", "high", source=source, color="colour", line_width=3, alpha=0.6)
     plot.scatter("date", "value", source=source, color="colour", size=8)
@@ -155,15 +171,23 @@ def _panel(timeline: Timeline, key: Key, dates: Range1d) -> figure:
     return apply_layout(plot)
 
 
-def _date_range(timeline: Timeline) -> Range1d:
-    """Dates of all models with a margin, at least a minute."""
+def _add_line(plot: figure, trend: Trend, unit: str) -> None:
+    """Draw the line of a slow change."""
+    factor = PER_CENT if unit == "1" else 1.0
+    values = [factor * trend.before.value, factor * trend.after.value]
+    plot.line([_plain(trend.first), _plain(trend.last)], values, color=ORANGE, line_width=2)
+
+
+def _date_range(timeline: Timeline, estimates: Mapping[Key, Sequence[Estimate]]) -> Range1d:
+    """Dates of all models and estimates with a margin, at least a minute."""
     dates = [_plain(step.entry.date) for step in timeline.steps]
+    dates += [_plain(estimate.date) for some in estimates.values() for estimate in some]
     margin = max(MARGIN * (max(dates) - min(dates)), timedelta(seconds=30))
     return Range1d(start=min(dates) - margin, end=max(dates) + margin)
 
 
 def value_range(ends: NDArray[np.float64]) -> Range1d:
-    """Range of intervals, shape (N, 2), with a margin; it spans at least 4 % of the largest value."""
+    """Range of values, of any shape, with a margin; it spans at least 4 % of the largest value."""
     low, high = float(ends.min()), float(ends.max())
     half = max(0.5 * (high - low) * (1.0 + 2.0 * MARGIN), LEAST_SPAN * float(np.abs(ends).max()), 1e-12)
     middle = 0.5 * (low + high)

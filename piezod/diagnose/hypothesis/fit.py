@@ -268,15 +268,18 @@ class Normal:
                 inner += float(scaled @ weighted)
         return inner - float(solved(self.hessian.sum(axis=0) + self.ridge, across) @ across)
 
-    def left_out_moves(self) -> Array:
+    def left_out_moves(self, held: Array | None = None) -> Array:
         """Change of the fitted vector when a block is left out, shape (B, P), by one linear step.
 
-        A weak prior holds a parameter that one block alone determines.
+        A weak prior holds a parameter that one block alone determines. A parameter whose `held` is not nan stays.
         """
         hessian = self.hessian.sum(axis=0) + self.ridge + self.layout.prior(self.chain, self.point)
         gradient = self.gradient.sum(axis=0) + self.pull
-        pairs = zip(self.hessian, self.gradient, strict=True)
-        return np.array([solved(hessian - block, gradient - side) for block, side in pairs])
+        free = np.full(gradient.size, True) if held is None else np.isnan(held)
+        moves, within = np.zeros(self.gradient.shape), np.ix_(free, free)
+        for move, block, side in zip(moves, self.hessian, self.gradient, strict=True):
+            move[free] = solved((hessian - block)[within], (gradient - side)[free])
+        return moves
 
     def fitted(self) -> Fitted:
         """Fit with the leave-one-block-out losses, by one linear step."""
