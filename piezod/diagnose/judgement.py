@@ -1,6 +1,6 @@
 """From the result of a search to a diagnosis: findings with confidences, and the written model."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from piezod.diagnose.candidates.starts import DIRECT
 from piezod.diagnose.experiment.testable import untestable
 from piezod.diagnose.findings import Base, Finding, Findings, Verdict, above_noise, gap_closed
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import Normal
+from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.terms import Point, Setting, Term
@@ -286,23 +286,45 @@ class DiagnosisInputs:
         given = _WrittenModel(model, before)
         if not (result.differs or result.refined) and not above_noise(before, floor, span):
             return given
-        fitted = with_tone_terms(result.hypothesis, result.diagnosed_tones)
-        intervals = {finding.name: finding.parameters for finding in effects}
         model = with_joint_estimates(model, result.refined)
         parent = model if self.given_runs.law_holds else model.model_copy(update={"unnamed_law": None})
-        try:
-            extended = extended_model(parent, result.chain, fitted, self.hashes, intervals)
-        except ModelError as error:
-            return replace(given, obstacle=str(error)) if result.differs else given
-        if result.stack_changed:
-            extended = self._with_new_base(extended)
-        runs = [free_run(extended, *pair) for pair in self.given_runs.diagnosed]
-        after = tared_rms(runs)
-        if not result.differs and (after >= RULES.better * before or above_noise(after, floor, span)):
+        intervals = {finding.name: finding.parameters for finding in effects}
+        best: _WrittenModel | None = None
+        for fitted in self._with_bases(result):
+            try:
+                extended = extended_model(
+                    parent, result.chain, with_tone_terms(fitted, result.diagnosed_tones), self.hashes, intervals
+                )
+            except ModelError as error:
+                given = replace(given, obstacle=str(error) if result.differs else "")
+                continue
+            if result.stack_changed:
+                extended = self._with_new_base(extended)
+            runs = [free_run(extended, *pair) for pair in self.given_runs.diagnosed]
+            after = tared_rms(runs)
+            if best is None or after < best.rms:
+                information = information_of(self._as_known(result.chain), fitted, extended, self.hashes)
+                extended = with_error(extended.model_copy(update={"information": information}), after)
+                best = _WrittenModel(extended, after, runs)
+            if not above_noise(after, floor, span):
+                break
+        if best is None:
             return given
-        information = information_of(self._as_known(result.chain), result.hypothesis, extended, self.hashes)
-        extended = with_error(extended.model_copy(update={"information": information}), after)
-        return _WrittenModel(extended, after, runs)
+        if not result.differs and (best.rms >= RULES.better * before or above_noise(best.rms, floor, span)):
+            return replace(given, obstacle="")
+        return best
+
+    def _with_bases(self, result: Search) -> Iterator[Fitted]:
+        """Final hypothesis with its base as well known as by the given model, then as the search has loosened it.
+
+        A looser base follows the recordings, and takes a part of what an effect has changed by.
+        """
+        fitted, tight = result.hypothesis, self._as_known(result.chain)
+        if any(s.noise_N != known.noise_N for s, known in zip(tight.series, result.chain.series, strict=True)):
+            held = tuple(replace(term, held=True) for term in fitted.terms)
+            again = fit(tight, held, fitted.point)
+            yield replace(again, terms=fitted.terms, spread=fitted.spread)
+        yield fitted
 
     def _as_known(self, chain: Chain) -> Chain:
         """Chain without the looser base of the search."""

@@ -20,7 +20,9 @@ from piezod.history.changes import FALSE_ALARM
 from piezod.history.parameters import Key
 from piezod.model.parameters import BASE
 
-FEWEST = 8  # estimates; with 7, the test of five parameters needs a perfect order for a false alarm of 5 %
+FEWEST = 8
+"""Estimates. Among five parameters, up to 3 of their 28 pairs may then be in the wrong order. With 6 estimates a wrong
+pair would hide a trend."""
 DAY_s = 86400.0
 
 
@@ -111,7 +113,7 @@ def _stated(findings: Mapping[str, Any]) -> dict[Key, tuple[Mapping[str, Any], b
     for effect in findings.get("kept", ()):
         for name, value in effect.get("here", {}).items():
             stated[Key(effect["name"], name)] = value, False
-    for effect in findings["effects"]:
+    for effect in findings.get("effects", ()):
         if effect.get("status") in ("new", "changed") and effect["name"] in EFFECTS:
             size = EFFECTS[effect["name"]].size.name
             if size in effect["parameters"]:

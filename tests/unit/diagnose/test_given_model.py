@@ -91,6 +91,22 @@ def test_an_unchanged_bench_begins_no_search_and_a_changed_one_does(bench, tmp_p
         assert any(step.startswith("looking for effect") for step in steps) == is_searched
 
 
+def test_sizes_by_one_recording_alone_follow_a_bench_that_changes_below_the_threshold(bench, tmp_path):
+    """Beside the same work on the bench as it was: the errors of base and form are alike in both."""
+
+    def own(name, **state):
+        (tmp_path / name).mkdir()
+        findings, _ = later(bench, tmp_path / name, **state)
+        creep = next(one for one in findings["kept"] if one["name"] == "creep")["here"]["per_decade"]
+        return creep, findings["base"]["here"]["gain"]
+
+    (creep, gain), (grown, same), (_, higher) = own("same"), own("grown", creep_per_decade=0.0143), own("up", gain=1.02)
+    assert grown["value"] / creep["value"] == pytest.approx(1.10, abs=0.04)
+    assert grown["low"] < grown["value"] < grown["high"]
+    assert same["value"] / gain["value"] == pytest.approx(1.0, abs=2e-3)
+    assert higher["value"] / gain["value"] == pytest.approx(1.02, abs=2e-3)
+
+
 @pytest.mark.parametrize(("hum_N", "status"), [(0.0, {"mains_hum": "gone"}), (0.5, {})])
 def test_a_hum_of_the_given_model_that_is_not_there_is_gone(bench, tmp_path, hum_N, status):
     model = load_model(bench / "model.yaml")
