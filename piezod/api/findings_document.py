@@ -72,21 +72,26 @@ class EffectEntry(TypedDict):
 
 
 class KeptEntry(TypedDict):
-    """Effect of the given model without a detected change, and whether the recordings show it."""
+    """Effect of the given model without a detected change: whether it is shown, and its size as measured."""
 
     name: str
     parameters: dict[str, ValueEntry]
     seen: bool
+    measured: dict[str, ValueEntry]
 
 
 class BaseEntry(TypedDict):
-    """Change of the stack itself: gain and width of the loops relative to the given model [1]."""
+    """Change of the stack itself: gain and width of the loops relative to the given model [1].
+
+    `measured`: gain [output unit per input unit] and loop width [%] by the recordings alone.
+    """
 
     status: str
     gain: ValueEntry | None
     loops: ValueEntry | None
     where: list[PlaceEntry]
     confidence: float
+    measured: dict[str, ValueEntry]
 
 
 class FitErrorsEntry(TypedDict):

@@ -145,7 +145,7 @@ class UnchangedEffect:
     name: str  # name in the catalogue
     parameters: dict[str, Value]  # of the given model
     seen: bool  # whether the recordings fit worse without it; otherwise they do not determine it
-    here: dict[str, Value] = field(default_factory=dict)  # its size by these recordings alone
+    measured: dict[str, Value] = field(default_factory=dict)  # its size by these recordings alone
 
     def as_dict(self) -> dict[str, Any]:
         """Entry in `findings.json`."""
@@ -153,7 +153,7 @@ class UnchangedEffect:
             "name": self.name,
             "parameters": {name: value.as_dict() for name, value in self.parameters.items()},
             "seen": self.seen,
-            "here": {name: value.as_dict() for name, value in self.here.items()},
+            "measured": {name: value.as_dict() for name, value in self.measured.items()},
         }
 
 
@@ -169,7 +169,7 @@ class Base:
         Gain and width of the loops relative to the identification [1]; None: unchanged.
     confidence
         Share of such findings that are right [1]; 1 without a change.
-    here
+    measured
         Gain [output unit per input unit] and loop width [%] by these recordings alone, as in `BaseFigures`.
     """
 
@@ -178,7 +178,7 @@ class Base:
     loops: Value | None = None
     where: tuple[Place, ...] = ()
     confidence: float = 1.0
-    here: dict[str, Value] = field(default_factory=dict)
+    measured: dict[str, Value] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Entry in `findings.json`."""
@@ -188,7 +188,7 @@ class Base:
             "loops": None if self.loops is None else self.loops.as_dict(),
             "where": [asdict(place) for place in self.where],
             "confidence": self.confidence,
-            "here": {name: value.as_dict() for name, value in self.here.items()},
+            "measured": {name: value.as_dict() for name, value in self.measured.items()},
         }
 
 

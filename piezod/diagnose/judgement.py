@@ -160,10 +160,10 @@ class DiagnosisInputs:
         effects, tones = self._effects(result)
         effects += direct_findings(chain.series, self.frozen, remainder.residuals, before)
         own = own_sizes(coarse(self._as_known(chain)), result.hypothesis, result.given)
-        base = replace(base_of(result), here=own_base(self.model, own))
+        base = replace(base_of(result), measured=own_base(self.model, own))
         written = self._written_model(result, effects, remainder.floor, span)
         unchanged = [
-            replace(one, here={EFFECTS[one.name].size.name: own[one.name]} if one.name in own else {})
+            replace(one, measured={EFFECTS[one.name].size.name: own[one.name]} if one.name in own else {})
             for one in unchanged_effects(result, self.model, written.model, effects, tones)
         ]
         after, runs = written.rms, written.runs

@@ -23,7 +23,7 @@ OUTLIER = 3.5
 Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993), chapter 3: modified z-scores.
 """
 DEVIATION_PER_MAD = 1.4826  # standard deviation over median absolute deviation, for normal values
-FEWEST_BENCHES = 5  # for a spread: of four values, the median absolute deviation is that of two
+FEWEST_BENCHES = 5  # for a spread: four values have the median absolute deviation of two
 FLAGGED = ("unexplained", "partly_explained")
 
 

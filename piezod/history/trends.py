@@ -1,9 +1,9 @@
 """Slow changes of parameters, from the estimates of each recording alone.
 
 A diagnosis changes a value only where its recording excludes the old one. Many recordings together show a smaller
-change. Their estimates are compared by the test of Mann (1945) and Kendall (1975), which assumes no distribution, and
-the line through them is that of Theil (1950) and Sen (1968): the median of the slopes of all pairs. R. O. Gilbert
-(1987), Statistical Methods for Environmental Pollution Monitoring, chapter 16.
+change. The test of Mann (1945) and Kendall (1975) compares their order and assumes no distribution. Their line has the
+median slope of all pairs (Theil 1950, Sen 1968). R. O. Gilbert (1987), Statistical Methods for Environmental Pollution
+Monitoring, chapter 16. Recordings within an hour share what drifts for hours, which counts as a change too.
 """
 
 import importlib
@@ -34,13 +34,13 @@ class Estimate:
     ----------
     date
         Date of the recording in UTC.
-    anew
-        Whether the diagnosis of this recording states another value since.
+    changed
+        Whether the diagnosis of this recording states a change.
     """
 
     date: datetime
     value: Value
-    anew: bool
+    changed: bool
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Trend:
     first, last
         Dates of its first and last recording in UTC.
     before, after
-        Values of the line at these dates, with the 95 % intervals that those of the slope give about its middle.
+        Values of the line at these dates; their 95 % intervals follow from the slope.
     count
         Number of recordings.
     p
@@ -86,18 +86,18 @@ def estimates_of(dated: Sequence[tuple[datetime, Mapping[str, Any]]]) -> dict[Ke
     Parameters
     ----------
     dated
-        Date and content of `findings.json` of each diagnosis; those of older versions hold no estimates.
+        Date and content of `findings.json` of each diagnosis; older versions state no estimates.
     """
     found: dict[Key, list[Estimate]] = {}
     for date, findings in sorted(dated, key=lambda pair: pair[0]):
-        for key, (stated, anew) in _stated(findings).items():
+        for key, (stated, changed) in _stated(findings).items():
             value = Value(stated["value"], stated["unit"], stated["low"], stated["high"])
-            found.setdefault(key, []).append(Estimate(date, value, anew))
+            found.setdefault(key, []).append(Estimate(date, value, changed))
     return found
 
 
 def trends_of(estimates: Mapping[Key, Sequence[Estimate]]) -> list[Trend]:
-    """Trends that are significant, family-wise over all parameters with at least `FEWEST` estimates."""
+    """Significant trends, family-wise over all parameters with at least `FEWEST` estimates."""
     since = {key: _since_stated(some) for key, some in estimates.items()}
     tested = {key: some for key, some in since.items() if len(some) >= FEWEST}
     limit = FALSE_ALARM / max(len(tested), 1)
@@ -108,10 +108,10 @@ def trends_of(estimates: Mapping[Key, Sequence[Estimate]]) -> list[Trend]:
 def _stated(findings: Mapping[str, Any]) -> dict[Key, tuple[Mapping[str, Any], bool]]:
     """Estimates in the findings of a diagnosis, and whether it states another value."""
     base, stated = findings.get("base", {}), dict[Key, tuple[Mapping[str, Any], bool]]()
-    for name, value in base.get("here", {}).items():
+    for name, value in base.get("measured", {}).items():
         stated[Key(BASE, name)] = value, base["status"] == "changed"
     for effect in findings.get("kept", ()):
-        for name, value in effect.get("here", {}).items():
+        for name, value in effect.get("measured", {}).items():
             stated[Key(effect["name"], name)] = value, False
     for effect in findings.get("effects", ()):
         if effect.get("status") in ("new", "changed") and effect["name"] in EFFECTS:
@@ -123,7 +123,7 @@ def _stated(findings: Mapping[str, Any]) -> dict[Key, tuple[Mapping[str, Any], b
 
 def _since_stated(estimates: Sequence[Estimate]) -> Sequence[Estimate]:
     """Estimates since the last stated change."""
-    first = max((k for k, estimate in enumerate(estimates) if estimate.anew), default=0)
+    first = max((k for k, estimate in enumerate(estimates) if estimate.changed), default=0)
     return estimates[first:]
 
 

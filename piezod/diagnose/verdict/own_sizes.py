@@ -29,7 +29,7 @@ def own_sizes(chain: Chain, fitted: Fitted, given: Collection[str]) -> dict[str,
     Parameters
     ----------
     chain
-        Recordings, those of the identification or their substitute with their full weight.
+        Recordings; the identification or its substitute counts fully.
     fitted
         Final hypothesis.
     given

@@ -97,8 +97,8 @@ def test_sizes_by_one_recording_alone_follow_a_bench_that_changes_below_the_thre
     def own(name, **state):
         (tmp_path / name).mkdir()
         findings, _ = later(bench, tmp_path / name, **state)
-        creep = next(one for one in findings["kept"] if one["name"] == "creep")["here"]["per_decade"]
-        return creep, findings["base"]["here"]["gain"]
+        creep = next(one for one in findings["kept"] if one["name"] == "creep")["measured"]["per_decade"]
+        return creep, findings["base"]["measured"]["gain"]
 
     (creep, gain), (grown, same), (_, higher) = own("same"), own("grown", creep_per_decade=0.0143), own("up", gain=1.02)
     assert grown["value"] / creep["value"] == pytest.approx(1.10, abs=0.04)

@@ -21,15 +21,15 @@ def stated(value, unit="1"):
 
 def kept(creep, gain=0.9):
     """Findings in which creep and the stack are kept."""
-    base = {"status": "kept", "here": {"gain": stated(gain, "N/V")}}
-    effect = {"name": "creep", "parameters": {}, "seen": True, "here": {"per_decade": stated(creep)}}
+    base = {"status": "kept", "measured": {"gain": stated(gain, "N/V")}}
+    effect = {"name": "creep", "parameters": {}, "seen": True, "measured": {"per_decade": stated(creep)}}
     return {"effects": [], "kept": [effect], "base": base}
 
 
 def changed(creep):
     """Findings in which creep has changed."""
     effect = {"name": "creep", "status": "changed", "parameters": {"per_decade": stated(creep)}}
-    return {"effects": [effect], "kept": [], "base": {"status": "kept", "here": {"gain": stated(0.9, "N/V")}}}
+    return {"effects": [effect], "kept": [], "base": {"status": "kept", "measured": {"gain": stated(0.9, "N/V")}}}
 
 
 def weekly(all_findings):
