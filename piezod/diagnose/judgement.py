@@ -1,6 +1,6 @@
 """From the result of a search to a diagnosis: findings with confidences, and the written model."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,9 +13,10 @@ from piezod.diagnose.candidates.starts import DIRECT
 from piezod.diagnose.experiment.testable import untestable
 from piezod.diagnose.findings import Base, Finding, Findings, Verdict, above_noise, gap_closed
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
+from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import coarse
+from piezod.diagnose.hypothesis.stack_change import factors
 from piezod.diagnose.hypothesis.terms import Point, Setting, Term
 from piezod.diagnose.localisation.locate import locate
 from piezod.diagnose.prepare import chain_of
@@ -26,7 +27,13 @@ from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.significance import with_discovery_rates
 from piezod.diagnose.verdict.direct_findings import direct_findings
 from piezod.diagnose.verdict.evidence import base_of, finding_of, gone_finding, unchanged_effects
-from piezod.diagnose.verdict.extended import extended_model, with_error, with_joint_estimates
+from piezod.diagnose.verdict.extended import (
+    extended_model,
+    hysteresis_of,
+    scaled_hysteresis,
+    with_error,
+    with_joint_estimates,
+)
 from piezod.diagnose.verdict.information import information_of
 from piezod.diagnose.verdict.own_sizes import own_base, own_sizes
 from piezod.diagnose.verdict.simulated import FreeRun, GivenRuns, free_run, tared_rms
@@ -49,6 +56,7 @@ from piezod.estimation.recordings.series import Series
 from piezod.estimation.recordings.sources import Source
 from piezod.identify.scores import nrmse_percent
 from piezod.model import Model
+from piezod.model.parameters import Hysteresis
 
 UNTESTABLE = 0.8  # untestable share of the catalogue above which no verdict `matches` is given
 OTHER_STACK = 3.0  # error over that at the identification above which the stack itself has changed
@@ -289,42 +297,37 @@ class DiagnosisInputs:
         model = with_joint_estimates(model, result.refined)
         parent = model if self.given_runs.law_holds else model.model_copy(update={"unnamed_law": None})
         intervals = {finding.name: finding.parameters for finding in effects}
-        best: _WrittenModel | None = None
-        for fitted in self._with_bases(result):
+        fitted = with_tone_terms(result.hypothesis, result.diagnosed_tones)
+        written = given
+        for keeps_base in (True, False) if self._is_loosened(result.chain) else (False,):
             try:
-                extended = extended_model(
-                    parent, result.chain, with_tone_terms(fitted, result.diagnosed_tones), self.hashes, intervals
-                )
+                hysteresis = self._scaled_base(result) if keeps_base else hysteresis_of(result.chain, result.hypothesis)
+                extended = extended_model(parent, result.chain, fitted, hysteresis, self.hashes, intervals)
             except ModelError as error:
-                given = replace(given, obstacle=str(error) if result.differs else "")
-                continue
+                return replace(given, obstacle=str(error)) if result.differs else given
             if result.stack_changed:
                 extended = self._with_new_base(extended)
             runs = [free_run(extended, *pair) for pair in self.given_runs.diagnosed]
-            after = tared_rms(runs)
-            if best is None or after < best.rms:
-                information = information_of(self._as_known(result.chain), fitted, extended, self.hashes)
-                extended = with_error(extended.model_copy(update={"information": information}), after)
-                best = _WrittenModel(extended, after, runs)
-            if not above_noise(after, floor, span):
+            written = _WrittenModel(extended, tared_rms(runs), runs)
+            if not above_noise(written.rms, floor, span):
                 break
-        if best is None:
+        if not result.differs and (written.rms >= RULES.better * before or above_noise(written.rms, floor, span)):
             return given
-        if not result.differs and (best.rms >= RULES.better * before or above_noise(best.rms, floor, span)):
-            return replace(given, obstacle="")
-        return best
+        information = information_of(self._as_known(result.chain), result.hypothesis, written.model, self.hashes)
+        extended = with_error(written.model.model_copy(update={"information": information}), written.rms)
+        return replace(written, model=extended)
 
-    def _with_bases(self, result: Search) -> Iterator[Fitted]:
-        """Final hypothesis with its base as well known as by the given model, then as the search has loosened it.
+    def _is_loosened(self, chain: Chain) -> bool:
+        """Whether the search has loosened the base, for want of the recordings of its identification.
 
-        A looser base follows the recordings, and takes a part of what an effect has changed by.
+        A loose base follows each recording, and takes a part of what an effect has changed by. So the base of the given
+        model stays where the error is noise with it.
         """
-        fitted, tight = result.hypothesis, self._as_known(result.chain)
-        if any(s.noise_N != known.noise_N for s, known in zip(tight.series, result.chain.series, strict=True)):
-            held = tuple(replace(term, held=True) for term in fitted.terms)
-            again = fit(tight, held, fitted.point)
-            yield replace(again, terms=fitted.terms, spread=fitted.spread)
-        yield fitted
+        return any(s.noise_N != known.noise_N for s, known in zip(chain.series, self.series, strict=True))
+
+    def _scaled_base(self, result: Search) -> Hysteresis:
+        """Hysteresis of the given model with the change of the stack."""
+        return scaled_hysteresis(self.model.hysteresis, factors(result.hypothesis.terms, result.hypothesis.point))
 
     def _as_known(self, chain: Chain) -> Chain:
         """Chain without the looser base of the search."""

@@ -8,7 +8,7 @@ from piezod.arrays import Array
 from piezod.diagnose.findings import Value
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted
-from piezod.diagnose.hypothesis.stack_change import factors
+from piezod.diagnose.hypothesis.stack_change import StackFactors, factors
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.selection.known_values import JointEstimate
 from piezod.effects import EFFECTS
@@ -24,21 +24,28 @@ KINK_CLEARANCE = 1e-2  # share of the stroke range; a regular knot nearer than t
 
 
 def extended_model(
-    model: Model, chain: Chain, fitted: Fitted, hashes: list[str], intervals: Mapping[str, Mapping[str, Value]]
+    model: Model,
+    chain: Chain,
+    fitted: Fitted,
+    hysteresis: Hysteresis,
+    hashes: list[str],
+    intervals: Mapping[str, Mapping[str, Value]],
 ) -> Model:
-    """Given model with refitted play operators, force law and effects.
+    """Given model with another hysteresis, and with the effects of a hypothesis.
 
     Unchanged effects and effects of other recordings stay as in the given model.
 
     Parameters
     ----------
+    hysteresis
+        Result of `hysteresis_of` or `scaled_hysteresis`.
     hashes
         SHA-256 of every recording; an effect of a single recording refers to it by its hash.
 
     Raises
     ------
     ModelError
-        The refitted operators have no inverse.
+        The operators have no inverse.
     """
     diagnosed = [series for series in chain.series if series.role == "recording"] or list(chain.series)
     first = hashes[next((k for k, series in enumerate(chain.series) if series.role == "recording"), 0)]
@@ -61,7 +68,7 @@ def extended_model(
         if not term.held and term.effect.name in EFFECTS
     )
     changed = {
-        "hysteresis": hysteresis_of(chain, fitted),
+        "hysteresis": hysteresis,
         "effects": effects,
         "sampling": diagnosed[0].hold.sampling,
         "read_after": diagnosed[0].hold.read_after,
@@ -134,8 +141,31 @@ def _start(model: Model, chain: Chain) -> Start:
     return Start(kind="reset", peak=path[0]) if path else Start(kind="virgin")
 
 
+def scaled_hysteresis(given: Hysteresis, now: StackFactors) -> Hysteresis:
+    """Hysteresis of the given model with the factors of a changed stack."""
+    first, *others = given.plays.weights
+    weights = (first + (1.0 - now.loops) * sum(others), *(now.loops * weight for weight in others))
+    zones = given.dead_zones
+    return given.model_copy(
+        update={
+            "plays": given.plays.model_copy(update={"weights": weights}),
+            "dead_zones": Superposition(
+                thresholds=tuple(threshold / now.stroke for threshold in zones.thresholds),
+                weights=tuple(now.stroke * now.force * weight for weight in zones.weights),
+            ),
+            "offset": now.force * given.offset,
+        }
+    )
+
+
 def hysteresis_of(chain: Chain, fitted: Fitted) -> Hysteresis:
-    """Fitted density and force law as play operators and one-sided dead-zone operators."""
+    """Fitted density and force law as play operators and one-sided dead-zone operators.
+
+    Raises
+    ------
+    ModelError
+        The operators have no inverse.
+    """
     now = factors(fitted.terms, fitted.point)
     weights = chain.density.weights(now.loops * fitted.point.density)
     thresholds = np.concatenate(([0.0], chain.density.thresholds_V))
