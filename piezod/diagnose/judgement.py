@@ -299,7 +299,7 @@ class DiagnosisInputs:
         intervals = {finding.name: finding.parameters for finding in effects}
         fitted = with_tone_terms(result.hypothesis, result.diagnosed_tones)
         written = given
-        for keeps_base in (True, False) if self._is_loosened(result.chain) else (False,):
+        for keeps_base in (True, False) if self._may_keep_base(result) else (False,):
             try:
                 hysteresis = self._scaled_base(result) if keeps_base else hysteresis_of(result.chain, result.hypothesis)
                 extended = extended_model(parent, result.chain, fitted, hysteresis, self.hashes, intervals)
@@ -317,13 +317,13 @@ class DiagnosisInputs:
         extended = with_error(written.model.model_copy(update={"information": information}), written.rms)
         return replace(written, model=extended)
 
-    def _is_loosened(self, chain: Chain) -> bool:
-        """Whether the search has loosened the base, for want of the recordings of its identification.
+    def _may_keep_base(self, result: Search) -> bool:
+        """Whether the base of a model with effects stays where the error is noise with it.
 
-        A loose base follows each recording, and takes a part of what an effect has changed by. So the base of the given
-        model stays where the error is noise with it.
+        Without the recordings of its identification, a base follows each new recording, and takes a part of what an
+        effect has changed by.
         """
-        return any(s.noise_N != known.noise_N for s, known in zip(chain.series, self.series, strict=True))
+        return result.has_known and self.substitutes > 0
 
     def _scaled_base(self, result: Search) -> Hysteresis:
         """Hysteresis of the given model with the change of the stack."""

@@ -22,10 +22,12 @@ class LinearGains:
         Chain with few compared samples.
     fitted
         Hypothesis; the effects of the given model that have not changed are held in it.
+    least
+        Least gain that the search accepts in any case [noise variance].
     """
 
-    def __init__(self, few: Chain, fitted: Fitted) -> None:
-        self._few, self._fitted = few, fitted
+    def __init__(self, few: Chain, fitted: Fitted, least: float = 0.0) -> None:
+        self._few, self._fitted, self._least = few, fitted, least
         self._normal = Normal.at(few, fitted.terms, fitted.point, robust=False)
         self._before = self._normal.fitted()
 
@@ -33,7 +35,7 @@ class LinearGains:
         """Whether a linear step with other terms comes near the least gain over the hypothesis."""
         there = Normal.at(self._few, terms, point, robust=False).fitted()
         before, after = comparable(self._before, there)
-        return is_near(before.loss, after.loss, steadiness(before, after))
+        return is_near(before.loss, after.loss, steadiness(before, after), self._least)
 
     def may_have_changed(self, name: str) -> bool:
         """Whether other parameters of a held effect come near the least gain."""
@@ -54,6 +56,6 @@ class LinearGains:
         return normal.free_energy(changes) / float(normal.samples.sum()) > RULES.worth / NEAR * fitted.loss
 
 
-def is_near(before: float, after: float, steady: float) -> bool:
-    """Whether a gain is at least `NEAR` of the least accepted gain with this steadiness."""
-    return before - after > NEAR * least_gain(steady) * after
+def is_near(before: float, after: float, steady: float, least: float = 0.0) -> bool:
+    """Whether a gain is at least `NEAR` of the least accepted gain with this steadiness, and of `least`."""
+    return before - after > NEAR * max(least_gain(steady) * after, least)

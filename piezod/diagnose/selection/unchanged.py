@@ -32,13 +32,13 @@ def is_unchanged(state: Search) -> bool:
     if fitted.loss > RULES.at_noise:
         return False
     few = coarse(state.chain)
-    linear = LinearGains(few, fitted)
+    linear = LinearGains(few, fitted, state.least_gain)
     unchanged = (
         not any(linear.may_have_changed(name) for name in fitted.effects)
         and not linear.may_gain(
             *_with(fitted, (Term(GAIN, "since"), {"gain": 1.0}), (Term(LOOPS, "since"), {"loops": 1.0}))
         )
-        and not _further_effect_gains(few, fitted, linear)
+        and not _further_effect_gains(few, fitted, linear, state.least_gain)
         and strongest_tone(state) is None
     )
     few.forget()
@@ -51,11 +51,11 @@ def _with(fitted: Fitted, *more: tuple[Term, Mapping[str, float]]) -> tuple[tupl
     return (*fitted.terms, *terms), replace(fitted.point, values=(*fitted.point.values, *values))
 
 
-def _further_effect_gains(few: Chain, fitted: Fitted, linear: LinearGains) -> bool:
+def _further_effect_gains(few: Chain, fitted: Fitted, linear: LinearGains, least: float) -> bool:
     """Whether an effect that the hypothesis lacks, or a step of the load, comes near the least gain."""
     screening = Screening(few, fitted.terms, fitted.point)
     steadiest = float(np.sqrt(np.count_nonzero(fitted.samples)))  # of a gain that is equal in all blocks
-    if screening.singles and is_near(screening.loss, screening.singles[0].loss, steadiest):
+    if screening.singles and is_near(screening.loss, screening.singles[0].loss, steadiest, least):
         return True
     steps = suggested_steps(few, fitted)
     return any(linear.may_gain(*_with(fitted, (step.term, step.values))) for step in steps)
