@@ -32,6 +32,9 @@ from piezod.model import Model
 from piezod.recording import Hold, Recording
 from piezod.recording.stretches import stretches_of
 
+MOST_SAMPLES = 300_000
+"""Of a recording in a diagnosis, which then takes a gigabyte and two minutes of processor. The errors of simulations
+are of all samples."""
 FEWEST_SAMPLES = 500  # a shorter recording has too few samples for the blocks that are left out
 UNEVEN = 0.01  # largest relative deviation of a time step; beyond it the recording is resampled
 MOST_MISSED = 1.5  # largest number of clock ticks per sample if samples are missing; beyond it there is no such clock
@@ -78,7 +81,8 @@ def evenly_spaced(source: Source, model: Model) -> Series:
         )
     recording, resampled = _on_equal_steps(recording, model.input.channel)
     recording, cut = _without_input_gaps(recording, model.input.channel)
-    notes += [f"{source.name}: {line}" for line in resampled + cut]
+    recording, shortened = _shortened(recording, model.input.channel)
+    notes += [f"{source.name}: {line}" for line in resampled + cut + shortened]
     u, y = recording.channel(model.input.channel), recording.channel(model.output.channel)
     temperature = _temperature_of(recording, model, notes)
     good = np.isfinite(y)
@@ -135,6 +139,21 @@ def _without_input_gaps(recording: Recording, channel: str) -> tuple[Recording, 
     missing = np.count_nonzero(~known)
     note = f"{channel} has {missing} missing samples; the longest stretch without one, {span_s:.3g} s, is used"
     return longest, [note]
+
+
+def _shortened(recording: Recording, channel: str) -> tuple[Recording, list[str]]:
+    """First `MOST_SAMPLES` of a long recording, from its first motion on, and a note."""
+    size, u = recording.time_s.size, recording.channel(channel)
+    if size <= MOST_SAMPLES:
+        return recording, []
+    rest = int(np.argmax(u != u[0]))
+    first = min(max(rest - FEWEST_SAMPLES, 0), size - MOST_SAMPLES)
+    part = recording.part(slice(first, first + MOST_SAMPLES))
+    note = (
+        f"has {size} samples; effects are looked for in {MOST_SAMPLES} of them, from {part.time_s[0]:.6g} to "
+        f"{part.time_s[-1]:.6g} s, and the errors are of all; for slower effects, give every tenth row or so"
+    )
+    return part, [note]
 
 
 def _temperature_of(recording: Recording, model: Model, notes: list[str]) -> Array | None:

@@ -9,6 +9,7 @@ import pytest
 
 import piezod
 from piezod.diagnose.command import diagnose_files
+from piezod.estimation.recordings import preparation
 from piezod.model import load_model, save_model
 from piezod.model.parameters import EffectValues
 from piezod.recording import write_csv
@@ -80,6 +81,15 @@ def test_a_model_with_effects_matches_a_bench_on_which_nothing_has_changed(bench
     given = tared_rms(tmp_path / "later.csv", bench / "model.yaml")
     assert findings["fit"]["held_out"]["before"] == pytest.approx(given, rel=1e-9)
     assert model == load_model(bench / "model.yaml")
+
+
+def test_the_errors_of_a_long_recording_are_of_all_its_samples(bench, tmp_path, monkeypatch):
+    monkeypatch.setattr(preparation, "MOST_SAMPLES", 4000)
+    findings, _ = later(bench, tmp_path)
+    assert findings["verdict"] == "matches"
+    assert any("later.csv: has 6000 samples; effects are looked for in 4000" in note for note in findings["notes"])
+    given = tared_rms(tmp_path / "later.csv", bench / "model.yaml")
+    assert findings["fit"]["held_out"]["before"] == pytest.approx(given, rel=1e-9)
 
 
 def test_an_unchanged_bench_begins_no_search_and_a_changed_one_does(bench, tmp_path):

@@ -10,7 +10,14 @@ from piezod.diagnose.candidates.starts import recorded_channels
 from piezod.diagnose.hypothesis.basis import PlayDensity
 from piezod.diagnose.prepare import chain_of, substitute_recording
 from piezod.errors import RecordingError
-from piezod.estimation.recordings.preparation import evenly_spaced, with_start, with_unknown_start, without_frozen
+from piezod.estimation.recordings import preparation
+from piezod.estimation.recordings.preparation import (
+    FEWEST_SAMPLES,
+    evenly_spaced,
+    with_start,
+    with_unknown_start,
+    without_frozen,
+)
 from piezod.estimation.recordings.sources import Source
 from piezod.estimation.recordings.unknown_past import fitted_past
 from piezod.model import load_model
@@ -51,6 +58,19 @@ def test_samples_that_follow_no_clock_are_resampled(model):
     np.testing.assert_allclose(steps_s, steps_s[0], rtol=1e-9)
     assert series.counts.all()
     assert "resampled" in series.notes[0]
+
+
+@pytest.mark.parametrize(("rest", "first"), [(0, 0), (1500, 1500 - FEWEST_SAMPLES), (2600, 1000)])
+def test_of_a_long_recording_the_first_samples_from_its_motion_on_are_taken(model, monkeypatch, rest, first):
+    monkeypatch.setattr(preparation, "MOST_SAMPLES", 2000)
+    source = a_recording(np.arange(3000) / RATE_Hz, model)
+    whole = source.recording.channels[model.input.channel]
+    whole[:rest] = whole[rest]
+    series = evenly_spaced(source, model)
+    np.testing.assert_array_equal(series.command_V, whole[first : first + 2000])
+    assert series.start_s == first / RATE_Hz
+    (note,) = series.notes
+    assert note.startswith("some.csv: has 3000 samples; effects are looked for in 2000 of them, from ")
 
 
 @pytest.mark.parametrize("levels", [2, 3, 5])
