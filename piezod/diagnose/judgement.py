@@ -318,10 +318,10 @@ class DiagnosisInputs:
         return replace(written, model=extended)
 
     def _may_keep_base(self, result: Search) -> bool:
-        """Whether the base of a model with effects stays where the error is noise with it.
+        """Whether the base of a model with effects stays if the error is noise then.
 
-        Without the recordings of its identification, a base follows each new recording, and takes a part of what an
-        effect has changed by.
+        Without the recordings of its identification, a base follows each new recording, and takes a part of the change
+        of an effect.
         """
         return result.has_known and self.substitutes > 0
 

@@ -194,7 +194,9 @@ def words_of(findings: Findings, wording: Wording) -> str:
         "explained": "; ".join(parts),
         "partly_explained": "; ".join(parts),
         "unexplained": missing,
-        "not_testable": "The recordings do not excite the bench enough to tell",
+        "not_testable": "The recordings do not excite the bench enough to tell"
+        if findings.noise_is_known
+        else "No effect is found, and the noise is unknown: the recordings cannot show that nothing is missing",
     }[findings.verdict]
     clauses = (opening, unchanged_words(findings.kept), _error_words(findings), _residual_words(findings))
     return "; ".join(clause for clause in clauses if clause)

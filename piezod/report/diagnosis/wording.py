@@ -55,7 +55,9 @@ def headline(findings: Findings) -> str:
         "explained": titles,
         "partly_explained": f"{titles}, and an unknown effect",
         "unexplained": "The model lacks an effect that is not in the catalogue",
-        "not_testable": "These recordings cannot show what the model lacks",
+        "not_testable": "These recordings cannot show what the model lacks"
+        if findings.noise_is_known
+        else "No effect is found, and the noise is unknown",
     }[findings.verdict]
 
 
@@ -243,11 +245,12 @@ def remaining_error(findings: Findings) -> list[str]:
     Two sentences: the error, then its causes.
     """
     unit, share = unit_words(findings.unit), percent(findings.explainable)
-    error = (
-        f"The remaining error is {rounded(findings.after)} {unit} rms; the noise is {rounded(findings.floor)} {unit}."
-    )
+    noise = f"{'' if findings.noise_is_known else 'unknown, at most '}{rounded(findings.floor)} {unit}"
+    error = f"The remaining error is {rounded(findings.after)} {unit} rms; the noise is {noise}."
     if findings.verdict == "not_testable":
-        return [error, "The recordings do not excite the bench enough to show what is missing."]
+        if findings.noise_is_known:
+            return [error, "The recordings do not excite the bench enough to show what is missing."]
+        return [error, "The command neither rests nor repeats, so nothing shows whether this is noise."]
     if findings.unrecorded is not None:
         words = unrecorded_words(findings.unrecorded, unit)
         return [error, f"{words[0].upper()}{words[1:]}. Record beside the reading what else changes at the bench."]

@@ -164,7 +164,9 @@ def after_diagnose(
     """
     plan = _planned_drive(recordings, model, bench)
     if findings.verdict == "not_testable":
-        return NextStep("these recordings excite too little; record the drive that shows more", plan)
+        little = "these recordings excite too little; record the drive that shows more"
+        holds = "record a drive with three holds of half a second, which shows the noise"
+        return NextStep(little if findings.noise_is_known else holds, plan)
     if findings.verdict == "unexplained" and findings.law is None:
         return NextStep("keep the given model; record the drive that shows more of the unknown effect", plan)
     changed = findings.effects or findings.base.changed or findings.law is not None

@@ -36,4 +36,5 @@ def test_where_the_noise_shows_nowhere_nothing_is_called_a_match_and_a_recording
     findings = json.loads((tmp_path / "findings.json").read_text(encoding="utf-8"))
     assert findings["verdict"] == "not_testable"
     assert findings["noise_floor"]["value"] is None
+    assert findings["words"].startswith("No effect is found, and the noise is unknown")
     assert any("the noise is unknown" in note and "holds of half a second" in note for note in findings["notes"])
