@@ -1,6 +1,6 @@
 """Findings of a diagnosis, and their form in `findings.json`."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 Verdict = Literal["matches", "explained", "partly_explained", "unexplained", "not_testable"]
@@ -155,6 +155,10 @@ class UnchangedEffect:
             "seen": self.seen,
             "measured": {name: value.as_dict() for name, value in self.measured.items()},
         }
+
+    def with_measured(self, size: Value | None, name: str) -> "UnchangedEffect":
+        """The effect with its measured size, a parameter of this name; None: not measured."""
+        return self if size is None else replace(self, measured={name: size})
 
 
 @dataclass(frozen=True)

@@ -167,13 +167,9 @@ class DiagnosisInputs:
         span, before = widest_range(series), tared_rms(self.given_runs.diagnosed_runs)
         effects, tones = self._effects(result)
         effects += direct_findings(chain.series, self.frozen, remainder.residuals, before)
-        own = own_sizes(coarse(self._as_known(chain)), result.hypothesis, result.given)
-        base = replace(base_of(result), measured=own_base(self.model, own))
+        base = base_of(result)
         written = self._written_model(result, effects, remainder.floor, span)
-        unchanged = [
-            replace(one, measured={EFFECTS[one.name].size.name: own[one.name]} if one.name in own else {})
-            for one in unchanged_effects(result, self.model, written.model, effects, tones)
-        ]
+        unchanged = unchanged_effects(result, self.model, written.model, effects, tones)
         after, runs = written.rms, written.runs
         if self.given_runs.law_holds and runs and not result.differs and self._is_other_stack(chain, remainder.floor):
             base = replace(base, changed=True)
@@ -181,7 +177,10 @@ class DiagnosisInputs:
         least = max(after, rms) if runs else before
         untested = untestable(chain, result.hypothesis.terms, result.hypothesis.point)
         verdict, effects = self._verdict(effects, base, remainder, (before, after, least), span, untested)
-        chain.forget()  # localisation needs memory too
+        chain.forget()  # what follows needs memory too
+        own = own_sizes(coarse(self._as_known(chain)), result.hypothesis, result.given)
+        base = replace(base, measured=own_base(self.model, own))
+        unchanged = [one.with_measured(own.get(one.name), EFFECTS[one.name].size.name) for one in unchanged]
         simulated = [s.reading_N - residual for s, residual in zip(chain.series, remainder.residuals, strict=True)]
         for k, run in enumerate(runs, start=len(series) - len(runs)):
             simulated[k] = run.at_samples_of(series[k])
