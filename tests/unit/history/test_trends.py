@@ -3,14 +3,21 @@
 import itertools
 import json
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from piezod.history.checks import find_checks
 from piezod.history.parameters import Key
+from piezod.history.timeline import timeline_of
 from piezod.history.trends import FEWEST, estimates_of, trends_of
 from piezod.history.words import trend_words
+from piezod.model import load_model, save_model
+from piezod.model.parameters import EffectValues
+from piezod.report.history import history_text, write_history_page
 
+SHIPPED = Path(__file__).parents[3] / "config" / "model.yaml"
 FIRST = datetime(2026, 3, 5, 9, tzinfo=UTC)
 CREEP, GAIN = Key("creep", "per_decade"), Key("base", "gain")
 
@@ -101,3 +108,26 @@ def test_a_trend_is_told_with_values_dates_and_recordings():
         "gain of the stack fell slowly from 0.9000 to 0.8900 N/V between 5 March and 14 May (11 recordings)"
     )
     assert json.loads(json.dumps(trends[GAIN].as_dict()))["recordings"] == 11
+
+
+def test_the_checks_of_a_bench_and_its_page_show_a_trend(tmp_path):
+    for week, (date, findings) in enumerate(weekly([kept(0.013 + 8e-4 * week) for week in range(11)])):
+        folder = tmp_path / f"stack-{date:%Y%m%dT%H%M%S}"
+        folder.mkdir()
+        stated = findings | {"verdict": "matches", "words": f"check {week}"}
+        (folder / "findings.json").write_text(json.dumps(stated), encoding="utf-8")
+    effect = EffectValues(
+        name="creep",
+        parameters={"per_decade": 0.013, "from_s": 0.1, "to_s": 1000.0, "slope": 0.0, "driven_by": 0.0},
+        intervals={"per_decade": (0.0125, 0.0135)},
+    )
+    save_model(load_model(SHIPPED).model_copy(update={"effects": (effect,)}), tmp_path / "model.yaml")
+    timeline = timeline_of([tmp_path / "model.yaml"])
+    estimates = estimates_of([check.dated for check in find_checks([tmp_path])])
+    trends = trends_of(estimates)
+    words = "creep of the stack grew slowly from 1.300 to 2.100 % per decade between 5 March and 14 May (11 recordings)"
+    assert f"{words}; all else kept" in history_text(timeline, trends)
+    write_history_page(tmp_path / "history.html", timeline, trends=trends, estimates=estimates)
+    page = (tmp_path / "history.html").read_text(encoding="utf-8")
+    assert f"C{words[1:]}" in page
+    assert "Orange line: slow change." in page
