@@ -110,9 +110,8 @@ def write_history_page(
     words, estimates = words or verdict_of(timeline, trends), estimates or {}
     rows = history_rows(timeline)
     dates = _date_range(timeline, estimates)
-    panels = [_panel(timeline, key, dates, estimates.get(key, ())) for key in timeline.keys]
-    for trend in trends:
-        _add_line(panels[timeline.keys.index(trend.key)], trend, timeline.unit_of(trend.key))
+    lines = {trend.key: trend for trend in trends}
+    panels = [_panel(timeline, key, dates, estimates.get(key, ()), lines.get(key)) for key in timeline.keys]
     notes = "".join(
         f"<li>{html.escape(f'{_name(step)}: {note}')}</li>" for step in timeline.steps for note in step.notes
     )
@@ -136,7 +135,7 @@ def _digits(value: Value) -> list[str]:
     return [f"{number:.10g}" for number in (value.value, value.low, value.high)]
 
 
-def _panel(timeline: Timeline, key: Key, dates: Range1d, estimates: Sequence[Estimate]) -> figure:
+def _panel(timeline: Timeline, key: Key, dates: Range1d, estimates: Sequence[Estimate], trend: Trend | None) -> figure:
     """Value of a parameter over time, with interval bars; marked values are orange, estimates small dots."""
     steps = [step for step in timeline.steps if key in step.parameters]
     unit = timeline.unit_of(key)
@@ -161,6 +160,9 @@ def _panel(timeline: Timeline, key: Key, dates: Range1d, estimates: Sequence[Est
         y_range=value_range(np.append(ends, alone)),
         height=PANEL_HEIGHT,
     )
+    if trend is not None:
+        line = [factor * trend.before.value, factor * trend.after.value]
+        plot.line([_plain(trend.first), _plain(trend.last)], line, color=ORANGE, line_width=2)
     plot.scatter([_plain(estimate.date) for estimate in estimates], alone, color=GREY, size=4)
     plot.line("date", "value", source=source, color=GREY)
     plot.segment("date", "low", "date", "high", source=source, color="colour", line_width=3, alpha=0.6)
@@ -169,13 +171,6 @@ def _panel(timeline: Timeline, key: Key, dates: Range1d, estimates: Sequence[Est
     plot.xaxis.ticker = DatetimeTicker(desired_num_ticks=MOST_TICKS)
     plot.add_tools(HoverTool(tooltips=[("model", "@model"), ("value", "@value"), ("interval", "@low to @high")]))
     return apply_layout(plot)
-
-
-def _add_line(plot: figure, trend: Trend, unit: str) -> None:
-    """Draw the line of a slow change."""
-    factor = PER_CENT if unit == "1" else 1.0
-    values = [factor * trend.before.value, factor * trend.after.value]
-    plot.line([_plain(trend.first), _plain(trend.last)], values, color=ORANGE, line_width=2)
 
 
 def _date_range(timeline: Timeline, estimates: Mapping[Key, Sequence[Estimate]]) -> Range1d:

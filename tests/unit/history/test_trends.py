@@ -131,3 +131,10 @@ def test_the_checks_of_a_bench_and_its_page_show_a_trend(tmp_path):
     page = (tmp_path / "history.html").read_text(encoding="utf-8")
     assert f"C{words[1:]}" in page
     assert "Orange line: slow change." in page
+
+
+def test_a_trend_of_an_effect_that_no_shown_model_has_is_in_words_only(tmp_path):
+    save_model(load_model(SHIPPED), tmp_path / "model.yaml")
+    timeline, estimates = timeline_of([tmp_path / "model.yaml"]), estimates_of(weekly(map(kept, np.arange(1, 12))))
+    write_history_page(tmp_path / "history.html", timeline, trends=trends_of(estimates), estimates=estimates)
+    assert "creep of the stack grew slowly".capitalize() in (tmp_path / "history.html").read_text(encoding="utf-8")
