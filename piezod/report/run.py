@@ -16,7 +16,7 @@ from piezod.errors import RecordingError
 from piezod.recording import Recording
 from piezod.report.figures.durations import EDGES_us, bars, histogram
 from piezod.report.figures.layout import finish_figure
-from piezod.report.figures.thinning import envelope, envelope_times, extremes
+from piezod.report.figures.thinning import broken_at_gaps, envelope, envelope_times, extremes
 from piezod.report.next_step import NextStep, after_report
 from piezod.report.page import Part, axis_label, head_html, next_step_html, table_html, write_page
 from piezod.report.run_facts import drifted_at, fact_rows, share_text
@@ -236,7 +236,8 @@ def _over_time(recording: Recording) -> Iterable[figure]:
         if first is not None:
             plot.x_range = first.x_range
         for name, values, colour, width in drawn:
-            plot.line(shown_s, envelope(values, POINTS), color=colour, line_width=width, legend_label=name)
+            curve = broken_at_gaps(shown_s, envelope(values, POINTS))
+            plot.line(*curve, color=colour, line_width=width, legend_label=name)
         first = first or plot
         yield finish_figure(plot)
 

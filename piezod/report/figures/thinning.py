@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from piezod.arrays import Array
 
 SHOWN = 0.998  # quantile of the residuals that an axis shows at least
+GAP = 3.0  # median steps; a shorter gap cannot be seen
 MARGIN = 0.5  # room beyond that quantile, relative to the shown range
 
 
@@ -56,6 +57,19 @@ def envelope_times(time_s: Array, points: int) -> Array:
     table = _segments(time_s, points)
     result: Array = table[:, [0, table.shape[1] // 2]].ravel()
     return result
+
+
+def broken_at_gaps(time_s: Array, values: Array) -> tuple[Array, Array]:
+    """Curve with a nan where times are missing, so that no line is drawn there; both shape (M,), M at least N.
+
+    Parameters
+    ----------
+    time_s, values
+        Curve, shape (N,) [s] and any unit.
+    """
+    steps = np.diff(time_s)
+    gaps = np.flatnonzero(steps > GAP * np.median(steps)) + 1 if steps.size else np.empty(0, dtype=np.int64)
+    return np.insert(time_s, gaps, time_s[gaps - 1]), np.insert(values, gaps, np.nan)
 
 
 def extremes(values: Array, points: int) -> NDArray[np.int64]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from piezod.report.figures.thinning import envelope, envelope_times, extremes
+from piezod.report.figures.thinning import broken_at_gaps, envelope, envelope_times, extremes
 
 
 def test_a_thinned_curve_keeps_every_spike():
@@ -25,3 +25,15 @@ def test_a_thinned_curve_keeps_gaps_and_short_curves_as_they_are():
     assert np.isfinite(thin[:20]).all()
     short = np.array([1.0, np.nan, 2.0])
     assert envelope(short, 10) is short
+
+
+def test_no_line_is_drawn_over_missing_times():
+    time_s = np.concatenate((np.arange(50.0), np.arange(80.0, 100.0), np.arange(102.0, 110.0)))
+    broken_s, values = broken_at_gaps(time_s, 2.0 * time_s)
+    (gap,) = np.flatnonzero(np.isnan(values))
+    assert (broken_s[gap - 1], broken_s[gap + 1]) == (49.0, 80.0)
+    kept = np.delete(np.arange(broken_s.size), gap)
+    np.testing.assert_array_equal(broken_s[kept], time_s)
+    np.testing.assert_array_equal(values[kept], 2.0 * time_s)
+    one = np.ones(1)
+    np.testing.assert_array_equal(broken_at_gaps(one, one)[1], one)
