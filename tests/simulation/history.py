@@ -50,6 +50,7 @@ ARMING_MORE_S = 0.35 + 1.0  # the rise to 140 V at 400 V/s, and checks before it
 RESTART_WITHIN_S = 0.3  # 60 ms in the fault list; slow machines among the seeds
 RESTORED_WITHIN_S = 3.0  # the service looks for its files each second
 FOREIGN_WITHIN_S = 0.1  # the guard compares the set point each 50 ms
+SERVICES = ("daemon", "second daemon")
 ENDS_WITHIN_S = 15.0  # from SIGTERM to the end of every process of the service
 CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "stream", "start", "signal_service", "kill_service",
         "disk_fault", "kill_recorder")  # fmt: skip
@@ -100,6 +101,7 @@ class History:
         self.happened = 0  # number of events so far
         self.trip_in_file_N, self.trip_N = 360.0, 360.0
         self.excused = set()
+        self.signalled = set()  # services that were told to end
         self.sending_N, self.sequence = None, 0
         self.answers = []
         self.writes = self.reloads = 0
@@ -198,8 +200,10 @@ class History:
         machine.note("finish")
         if self.alive:
             self.expect_rest("SIGTERM at the end")
-            self.service.stopped_until_ns = 0
-            self.service.signal(signal.SIGTERM)
+        for service in [one for one in machine.processes if one.alive and one.name in SERVICES]:
+            service.stopped_until_ns = 0
+            if service not in self.signalled:  # a signal of before must be enough
+                service.signal(signal.SIGTERM)
         end_ns = machine.now_ns + round(ENDS_WITHIN_S * SECOND)
         while machine.now_ns < end_ns and any(p.alive for p in machine.processes if p is not self.operator):
             machine.run(machine.now_ns + SECOND // 10)
@@ -228,10 +232,11 @@ class History:
             self.violations.append((kind, self.machine.time_s if time_s is None else time_s, text))
             self.machine.note("VIOLATION", kind, text)
 
-    def start(self):
-        """Start the service, as `piezod run` does."""
+    def start(self, arms=None):
+        """Start the service, as `piezod run` does, or `piezod run --arm`."""
         if self.alive:
             return
+        arms_now = self.arms_at_start if arms is None else arms
         new_process_of_the_daemon()
         self.service = Process(self.machine, "daemon")
 
@@ -239,7 +244,7 @@ class History:
             self.machine.sleep(self.spawning.start_s())
             self.trip_N = self.trip_in_file_N
             try:
-                code = run_foreground(self.path, arm=self.arms_at_start).exit_code
+                code = run_foreground(self.path, arm=arms_now).exit_code
             except PiezodError as error:
                 self.machine.note("service", "ends with", error)
                 self.answers.append((self.machine.time_s, "run", str(error)))
@@ -247,6 +252,16 @@ class History:
             sys.exit(code)
 
         self.service.start(run)
+        if arms:
+            self.arm_begins()
+            self._arms_itself(self.service)
+
+    def _arms_itself(self, service):
+        """The arm of the start is on its way until the service reports it or ends."""
+        if service.alive and not any(line.endswith(", armed") for line in service.log):
+            self.machine.after(round(LOOK_S * SECOND), lambda: self._arms_itself(service))
+        else:
+            self.arm_ends("arm")
 
     # what holds ---------------------------------------------------------------------------------------------------
 
@@ -255,7 +270,7 @@ class History:
         self.machine.after(round(LOOK_S * SECOND), self.look)
 
     def state(self):
-        """State in the last row of the ring log; None while no control process runs."""
+        """State in the last row of the control process; None before its first row, and while there is none."""
         if self.control is None:
             return None
         try:
@@ -267,7 +282,9 @@ class History:
             return None
         reader.seek(waiting - 1)
         rows = reader.read()
-        return State(int(rows["state"][-1])) if rows.size else None
+        if not rows.size or rows["time_ns"][-1] < self.control.started_ns:  # of a process that was killed
+            return None
+        return State(int(rows["state"][-1]))
 
     def judge(self):
         """Judge the physics until now, and what is due."""
@@ -345,7 +362,8 @@ class History:
         """The ramp down that begins now has the rate of the bench file, where nothing else is wrong."""
         self.amplifier.catch_up()
         calm = self.machine.now_ns > max(self.disturbed_until_ns, self.machine.stalled_until_ns)
-        if calm and self.state() is State.RUNNING and self.amplifier.bench.output_V > STEADY_FROM_V:
+        first = self.rest_due is not None and self.rest_due[1] == reason  # no faster stop is on its way
+        if calm and first and self.state() is State.RUNNING and self.amplifier.bench.output_V > STEADY_FROM_V:
             self.steady = (self.machine.now_ns, self.amplifier.bench.output_V, reason)
 
     def _judge_rate(self):
@@ -417,10 +435,13 @@ class History:
             self.expect_rest(command, self._held_s())
             if command == "disarm":
                 self.expect_steadily(command)
-        self.ask(command, lambda good, text: self._refused(command, good, text))
+        sent_ns = self.machine.now_ns
+        self.ask(command, lambda good, text: self._ended(command, good, text, sent_ns))
 
-    def _refused(self, command, good, text):
-        """A command that did not reach the service asks for nothing."""
+    def _ended(self, command, good, text, sent_ns):
+        """A command that did not reach the service asks for nothing; after one that was obeyed no former arm drives."""
+        if good:
+            self.machine.after(round(REST_WITHIN_S * SECOND), lambda: self._stays_at_rest(sent_ns))
         if not good and self.rest_due is not None and self.rest_due[1] == command:
             self.rest_due = None
         if "only stop and disarm are obeyed" in text:
@@ -474,11 +495,22 @@ class History:
         self.write_trip(trip_N)
         if by_signal:
             if self.alive and self.service.handlers.get(int(signal.SIGHUP)):
-                self.trip_N = math.inf  # its answer is in the log only
+                self.reloads += 1
+                self._wait_for_log(self.service, len(self.service.log), self._reloaded(self.writes, former_N))
                 self.service.signal(signal.SIGHUP)
         else:
             self.reloads += 1
             self.ask("reload", self._reloaded(self.writes, former_N))
+
+    def _wait_for_log(self, service, begun, sends):
+        """The answer to SIGHUP is in the log, behind its first `begun` lines."""
+        lines = [line for line in service.log[begun:] if line.startswith("reload")]
+        if lines:
+            sends(lines[0].startswith("reload: "), lines[0].removeprefix("reload: "))
+        elif service.alive:
+            self.machine.after(round(LOOK_S * SECOND), lambda: self._wait_for_log(service, begun, sends))
+        else:
+            self.reloads -= 1
 
     def _reloaded(self, writes, former_N):
         """What an accepted reload changes: the trip, or an unknown one where the file has changed meanwhile."""
@@ -526,13 +558,16 @@ class History:
             Thread(self.operator, talk, "stranger")
 
     def signal_service(self, name, times):
-        if self.alive and self.service.handlers.get(int(getattr(signal, name))):
+        """Tell the service to end; SIGTERM ends it also before it has a handler, SIGINT would be an exception then."""
+        number = int(getattr(signal, name))
+        if self.alive and (name == "SIGTERM" or self.service.handlers.get(number)):
+            self.signalled.add(self.service)
             self.expect_rest(name, self._held_s())
             if times == 1:
                 self.expect_steadily(name)
             for _ in range(times):
                 if self.alive:
-                    self.service.signal(getattr(signal, name))
+                    self.service.signal(number)
 
     def second_service(self):
         """Somebody starts the service once more for the same bench."""
@@ -637,13 +672,21 @@ class History:
 
         self.machine.after(round(within_s * SECOND), look)
 
+    def _keeps_up(self):
+        """Whether the machine misses no tick by itself: a tick waits twice, for its time and for the reply."""
+        return 2 * sum(self.plan.latency_ns) < SECOND / self.plan.rate_Hz
+
     def _is_calm(self):
         return self.calm_before and not self.excused and self.machine.now_ns > self.machine.stalled_until_ns
 
+    def _expect_to_drive_on(self, reason):
+        """What follows is no reason for a fault, where there is a reference, and time for each tick."""
+        if self._keeps_up() and (self.sending_N is not None or self.plan.reference == "sine"):
+            self._expect_state((State.RUNNING,), 0.5, reason)
+
     def lost_reply(self):
         """One reply is lost: no reason for a fault."""
-        if self.sending_N is not None or self.plan.reference == "sine":
-            self._expect_state((State.RUNNING,), 0.5, "one lost reply")
+        self._expect_to_drive_on("one lost reply")
         self.network.rules.append(["drop", "reply", 1, 0.0])
 
     def exchange_device(self):
@@ -699,8 +742,7 @@ class History:
         self.machine.after(SECOND, lambda: self.excused.difference_update({"reading", "writes"}))
 
     def disk_fault(self, fault, every, for_s):
-        if self.sending_N is not None or self.plan.reference == "sine":
-            self._expect_state((State.RUNNING,), 0.5, "a fault of the disk")
+        self._expect_to_drive_on("a fault of the disk")
         self.disk.strike(fault, every)
         self.machine.after(round(for_s * SECOND), self.disk.heal)
 
@@ -725,22 +767,23 @@ class History:
                 if path.is_file():
                     path.unlink()
             name = "ring.lock"
-        service = self.service if self._is_steady() else None
+        service = self.service if self._is_steady(name) and (self.folder / name).exists() else None
         with contextlib.suppress(OSError):
             (self.folder / name).unlink()
         number = self.happened
 
         def look():
-            undisturbed = service is not None and service is self.service and self._is_steady()
+            undisturbed = service is not None and service is self.service and self._is_steady(name)
             if undisturbed and self.happened == number and not (self.folder / name).exists():
                 self.violate("files", f"{name} is missing {RESTORED_WITHIN_S:g} s after its removal")
 
         self.machine.after(round(RESTORED_WITHIN_S * SECOND), look)
 
-    def _is_steady(self):
-        """Whether service and control process run, and nothing holds them."""
+    def _is_steady(self, name):
+        """Whether the service runs, and nothing holds it; the ring log belongs to its control process."""
         held = self.machine.stalled_until_ns > self.machine.now_ns
-        return self.alive and self.control is not None and not self.service.stopped_until_ns and not held
+        runs = self.alive and self.service not in self.signalled and not self.service.stopped_until_ns
+        return runs and not held and (name != "ring" or self.control is not None)
 
     # the reference ------------------------------------------------------------------------------------------------
 

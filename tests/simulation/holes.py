@@ -133,7 +133,11 @@ HOLES = {
         "C10: limits raised by reload while armed",
     ),
     "a reload is taken while the control process starts": Hole(
-        "piezod.daemon.reload", "if not connected or ended:", "if False:", "F1: the old configuration drove",
+        "piezod.daemon.service",
+        "check_settled(connected=channel.connected, ended=channel.ended, problem=channel.problem)",
+"if not channel.connected:\n                self._bench = bench\n                self._wake.set()\n"
+        '                return "configuration taken"',
+        "F1: the old configuration drove",
     ),
     "removed stop socket stays away": Hole(
         "piezod.daemon.stop_path", "if self._listener is None or self._listener.is_present:", "if True:",
