@@ -135,7 +135,7 @@ HOLES = {
     "a reload is taken while the control process starts": Hole(
         "piezod.daemon.service",
         "check_settled(connected=channel.connected, ended=channel.ended, problem=channel.problem)",
-"if not channel.connected:\n                self._bench = bench\n                self._wake.set()\n"
+        "if not channel.connected:\n                self._bench = bench\n                self._wake.set()\n"
         '                return "configuration taken"',
         "F1: the old configuration drove",
     ),
