@@ -40,7 +40,8 @@ COMM_LOSS_S, WATCHDOG_S = 0.4, 0.2
 MACHINE_S = 0.3  # for a command on its way through the processes
 REST_WITHIN_S = 140.0 / RAMP_DOWN_V_PER_S + COMM_LOSS_S + WATCHDOG_S + MACHINE_S
 TRIP_MARGIN_N = 25.0  # noise, and the force that is left on the stack at 0 V
-TRIPPED_WITHIN_S = 0.5
+TRIPPED_WITHIN_S = 0.5  # down to `LOW_TRIP_N`; a lower trip needs the ramp from 140 V nearly to its end
+LOW_TRIP_N, LOW_TRIPPED_WITHIN_S = 100.0, 140.0 / RAMP_DOWN_V_PER_S + 0.1
 LOOK_S = 0.02
 SHOWN_WITHIN_S = 0.1  # an accepted arm is answered some ticks before the log shows its state
 WATCHDOG_KNOWN_S = 2.0  # the guard reads it each second; then the ramp down
@@ -292,7 +293,8 @@ class History:
         amplifier.catch_up()
         judge = amplifier.judge
         judge[judged.TRIP] = self.trip_N + TRIP_MARGIN_N
-        judge[judged.MOST_OVER] = TRIPPED_WITHIN_S / amplifier.bench.step_s
+        within_s = LOW_TRIPPED_WITHIN_S if self.trip_N < LOW_TRIP_N else TRIPPED_WITHIN_S
+        judge[judged.MOST_OVER] = within_s / amplifier.bench.step_s
         at_rest = judge[judged.REST_STEP] >= 0
         judge[judged.JUDGES_FORCE] = float(not self.excused)
         for kind, time_s, text in amplifier.violations():
