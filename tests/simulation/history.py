@@ -5,6 +5,7 @@ import itertools
 import json
 import math
 import os
+import re
 import signal
 import struct
 import sys
@@ -28,12 +29,13 @@ from tests.simulation.disk import Disk
 from tests.simulation.installed import install, new_process_of_the_daemon
 from tests.simulation.machine import BOOTED_NS, SECOND, Machine, Process, Thread
 from tests.simulation.serial_line import BAUDRATE, make_network
-from tests.simulation.sockets import Kernel
+from tests.simulation.sockets import LOOPBACK, Kernel
 from tests.simulation.spawning import Spawning
 
 ROOT = Path(__file__).parents[2]
 BENCH = ROOT / "config" / "bench.yaml"
 PORT = 15020
+METRICS_PORT = 19020
 SLEW_V_PER_S = 800.0
 RAMP_DOWN_V_PER_S = 200.0
 COMM_LOSS_S, WATCHDOG_S = 0.4, 0.2
@@ -43,6 +45,8 @@ TRIP_MARGIN_N = 25.0  # noise, and the force that is left on the stack at 0 V
 TRIPPED_WITHIN_S = 0.5  # down to `LOW_TRIP_N`; a lower trip needs the ramp from 140 V nearly to its end
 LOW_TRIP_N, LOW_TRIPPED_WITHIN_S = 100.0, 140.0 / RAMP_DOWN_V_PER_S + 0.1
 LOOK_S = 0.02
+TOLD_WITHIN_S = 0.5  # a state that is told was that of a tick so long ago at most; the service looks each 0.1 s
+STALE_AFTER_S = 1.0  # values of this age are told as such, by a service that looked `TOLD_WITHIN_S` ago at most
 SHOWN_WITHIN_S = 0.1  # an accepted arm is answered some ticks before the log shows its state
 WATCHDOG_KNOWN_S = 2.0  # the guard reads it each second; then the ramp down
 SENT_EVERY_S = 0.01
@@ -53,11 +57,13 @@ RESTORED_WITHIN_S = 3.0  # the service looks for its files each second
 FOREIGN_WITHIN_S = 0.1  # the guard compares the set point each 50 ms
 SERVICES = ("daemon", "second daemon")
 ENDS_WITHIN_S = 15.0  # from SIGTERM to the end of every process of the service
-CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "stream", "start", "signal_service", "kill_service",
+CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "scrape", "stream", "start", "signal_service", "kill_service",
         "disk_fault", "kill_recorder")  # fmt: skip
 CALM_AFTER_S = 1.5
 STEADY_FROM_V = 10.0
 STEADY_SHARE = 0.7  # of the time of the ramp: the reference may fall by 15 V until it begins
+STATE_OF_METRICS = re.compile(r'piezod_state\{bench="[^"]*",state="(\w+)"\} 1\.0')
+STALE_METRICS = b'piezod_stale{bench="emulator"} 1.0'
 DRIVEN = (State.ARMING, State.RUNNING, State.HOLD, State.RAMP_DOWN)
 
 
@@ -130,6 +136,8 @@ class History:
             "real_time": {"fifo_priority": 0, "lock_memory": False, "hold_cpu_latency": False},
             "drift": None,
         }
+        if plan.metrics:
+            content["daemon"]["metrics_port"] = METRICS_PORT
         if plan.recorder:
             content["recorder"] = {"folder": str(folder / "recordings"), "sync_every_s": 0.5}
         if plan.wire == "rtu":
@@ -246,6 +254,7 @@ class History:
             self.trip_N = self.trip_in_file_N
             try:
                 code = run_foreground(self.path, arm=arms_now).exit_code
+                self._judge_heat_kept()
             except PiezodError as error:
                 self.machine.note("service", "ends with", error)
                 self.answers.append((self.machine.time_s, "run", str(error)))
@@ -268,12 +277,24 @@ class History:
 
     def look(self):
         self.judge()
+        if self.alive and self.control is not None and (self.folder / "ring.heat").exists():
+            self.violate("heat", "the heat of an earlier run is still there while the bench is driven: a kill keeps it")
         self.machine.after(round(LOOK_S * SECOND), self.look)
+
+    def _judge_heat_kept(self):
+        """A run that ends by itself leaves the heat of the stack, with the time."""
+        kept = json.loads((self.folder / "ring.heat").read_text(encoding="ascii"))
+        age_s = 1e-9 * (self.machine.now_ns + self.machine.wall_offset_ns) - kept["time_s"]
+        if not (0.0 <= kept["power_W"] < math.inf and 0.0 <= age_s < LOOK_S):
+            self.violate("heat", f"{kept} was kept {age_s:.3f} s ago")
 
     def state(self):
         """State in the last row of the control process; None before its first row, and while there is none."""
-        if self.control is None:
-            return None
+        rows = None if self.control is None else self._rows(1)
+        return None if rows is None else State(int(rows["state"][-1]))
+
+    def _rows(self, most=200):
+        """The last rows of the ring log; None where the present control process has written none."""
         try:
             reader = RingReader(self.folder / "ring")
         except PiezodError:
@@ -281,11 +302,11 @@ class History:
         waiting = reader.waiting
         if not waiting:
             return None
-        reader.seek(waiting - 1)
+        reader.seek(max(0, waiting - most))
         rows = reader.read()
         if not rows.size or rows["time_ns"][-1] < self.control.started_ns:  # of a process that was killed
             return None
-        return State(int(rows["state"][-1]))
+        return rows
 
     def judge(self):
         """Judge the physics until now, and what is due."""
@@ -350,7 +371,7 @@ class History:
         self.happened += 1
         self.machine.note("event", event.name, *event.arguments)
         self.calm_before = self.machine.now_ns > self.disturbed_until_ns
-        if event.name not in ("status", "reset", "heal", "start"):
+        if event.name not in ("status", "scrape", "reset", "heal", "start"):
             self.steady = None
         if event.name == "heal":
             self.disturbed_until_ns = self.machine.now_ns + round(CALM_AFTER_S * SECOND)
@@ -375,8 +396,8 @@ class History:
         if rest_s < least_s:
             self.violate("rate", f"{from_V:.1f} V to rest in {rest_s:.3f} s after {reason}, at least {least_s:.3f} s")
 
-    def ask(self, command, sends=None):
-        """A client sends a command; its answer is noted."""
+    def ask(self, command, sends=None, *, whole=False):
+        """A client sends a command; its answer is noted. `sends` is called with whether it was obeyed, and the answer."""
         machine = self.machine
 
         def talk():
@@ -387,8 +408,7 @@ class History:
                     answer = client.ask(command)
                 finally:
                     client.close()
-                text = str(answer.get("message") or answer.get("state"))
-                good = True
+                text, good = str(answer.get("message") or answer.get("state")), True
             except PiezodError as error:
                 text, good = f"{type(error).__name__}: {error}", False
             self.arm_ends(command)
@@ -397,7 +417,7 @@ class History:
             if command == "arm" and not good and not text.startswith("UnreachableError"):
                 self._refused_arm(begun_ns)
             if sends is not None:
-                sends(good, text)
+                sends(good, answer if good and whole else text)
 
         Thread(self.operator, talk, command)
 
@@ -489,7 +509,51 @@ class History:
         self.ask("reset", refused)
 
     def status(self):
-        self.ask("status")
+        def judge(good, text):
+            if good:
+                self._judge_told(text["state"], is_stale=text["stale"])
+
+        self.ask("status", judge, whole=True)
+
+    def scrape(self, count, kind):
+        """Clients of the metrics, most of them impolite; the state that a polite one reads is judged."""
+        request = (b"GET /metrics HTTP/1.1\r\nHost: here\r\n\r\n", b"GET /metrics", b"x" * 20_000, b"")[kind]
+
+        def talk():
+            client = self.kernel.socket()
+            client.settimeout(2.0)
+            answer = b""
+            with contextlib.suppress(OSError):
+                client.connect((LOOPBACK, METRICS_PORT))
+                client.sendall(request)
+                while kind == 0 and (data := client.recv(65536)):
+                    answer += data
+                self.machine.sleep(0.0 if kind == 0 else 1.0)
+            client.close()
+            self.machine.note("scraped", len(answer))
+            told = STATE_OF_METRICS.findall(answer.decode("ascii", "replace"))
+            if told:
+                self._judge_told(told[0].upper(), is_stale=STALE_METRICS in answer)
+
+        for _ in range(count):
+            Thread(self.operator, talk, "scrape")
+
+    def _judge_told(self, name, *, is_stale):
+        """The state that a client is told was that of a tick in the last `TOLD_WITHIN_S`, or is told as old."""
+        machine, service = self.machine, self.service
+        held = machine.now_ns < machine.stalled_until_ns + TOLD_WITHIN_S * SECOND
+        if self.control is None or held or not self.alive or service.stopped_until_ns or self.excused & {"row"}:
+            return
+        rows = self._rows()
+        if rows is None or is_stale:
+            return
+        age_s = 1e-9 * (machine.now_ns - int(rows["time_ns"][-1]))
+        if age_s > STALE_AFTER_S + TOLD_WITHIN_S:
+            self.violate("told", f"values {age_s:.2f} s old are told as present ones")
+        lately = rows["time_ns"] >= rows["time_ns"][-1] - TOLD_WITHIN_S * SECOND
+        states = {State(int(state)).name for state in rows["state"][lately]}
+        if name not in states:
+            self.violate("told", f"the state is told as {name}, and is {' or '.join(sorted(states))}")
 
     def reload(self, trip_N, by_signal):
         former_N = self.trip_N if self.state() is State.RUNNING and not self.reloads else -math.inf

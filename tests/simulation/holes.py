@@ -139,6 +139,22 @@ HOLES = {
         '                return "configuration taken"',
         "F1: the old configuration drove",
     ),
+    "the arm of a start survives a stop": Hole(
+        "piezod.daemon.service", "        self._arm_withdrawn = True\n", "", "F3: an arm that acts after a stop",
+    ),
+    "removed files stay away without a device": Hole(
+        "piezod.daemon.service", "if clock.monotonic() > self._files_seen_s + FILES_INTERVAL_S:",
+        "if self._channel.connected and clock.monotonic() > self._files_seen_s + FILES_INTERVAL_S:",
+        "G4: unreachable after its files were removed",
+    ),
+    "old values are shown as good ones": Hole(
+        "piezod.recording.age", "return age_s is None or age_s > max(STALE_AFTER_S, STALE_TICKS * dt_s)",
+        "return age_s is None", "G11: values 8 s old without a word",
+    ),
+    "a kill keeps the heat of before": Hole(
+        "piezod.session.heat_file", "            self._path.unlink()\n        except", "        except",
+        "F9: heat is forgotten",
+    ),
     "removed stop socket stays away": Hole(
         "piezod.daemon.stop_path", "if self._listener is None or self._listener.is_present:", "if True:",
         "G4: unreachable after its files were removed",

@@ -33,6 +33,7 @@ class Plan:
     reference: str = "sine"
     wire: str = "tcp"
     recorder: bool = False
+    metrics: bool = False
     frequency_Hz: float = 1.0
     latency_ns: tuple = (20_000, 30_000)
     events: tuple = field(default=())
@@ -60,6 +61,7 @@ KINDS = {
     "urge": (3, _pick(("stop", "disarm"))),
     "reset": (2, lambda rng: ()),
     "status": (1, lambda rng: ()),
+    "scrape": (1, lambda rng: (rng.choice((1, 1, 40)), rng.randrange(4))),
     "reload": (2, lambda rng: (rng.choice((50.0, 100.0, 150.0, 250.0, 360.0, 500.0)), rng.random() < 0.3)),
     "reload_broken": (1, lambda rng: (rng.choice(("", "rate_Hz: [", "limits: 3\n")), rng.random() < 0.5)),
     "strangers": (1, lambda rng: (rng.choice((1, 12, 70)), rng.randrange(4))),
@@ -192,7 +194,9 @@ def _late(rng, time_s, events):
         events += [Event(time_s + 1.0, "trip_amplifier"), Event(time_s + 3.0, "heal")]
         time_s += 4.5
         events.append(Event(time_s, "reset"))
-    events += [Event(time_s - 0.05, "pause_control", (for_s,)), Event(time_s + for_s + 1.5, "status")]
+    asked_s = time_s + rng.uniform(0.0, for_s)
+    asks = rng.choice((Event(asked_s, "status"), Event(asked_s, "scrape", (1, 0))))
+    events += [Event(time_s - 0.05, "pause_control", (for_s,)), asks, Event(time_s + for_s + 1.5, "status")]
     return time_s + for_s + 2.0
 
 
@@ -253,6 +257,7 @@ def draw(seed, seconds):
         rate_Hz=rng.choice((100, 200, 200, 400)),
         reference="stream" if stream else "sine",
         recorder=rng.random() < 0.3,
+        metrics=rng.random() < 0.3,
         frequency_Hz=rng.choice((0.5, 1.0, 4.0)),
         latency_ns=(20_000, 30_000) if not slow else (60_000, 1_500_000),
         wire="rtu" if rng.random() < 0.25 else "tcp",

@@ -497,9 +497,11 @@ class Socket(socket.socket):
         if self.type is socket.SOCK_DGRAM and self.family == socket.AF_INET:
             self._address = (LOOPBACK, 9)
             return
-        if self.family == socket.AF_UNIX:
-            status = os.lstat(address)
-            listener = kernel.paths.get((status.st_dev, status.st_ino))
+        listener = None if self.family == socket.AF_UNIX else kernel.ports.get((self.type, address[1]))
+        if self.family == socket.AF_UNIX or listener is not None:
+            if listener is None:
+                status = os.lstat(address)
+                listener = kernel.paths.get((status.st_dev, status.st_ino))
             if listener is None:
                 raise ConnectionRefusedError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
             if isinstance(listener, Queue) != (self.type is socket.SOCK_DGRAM):
