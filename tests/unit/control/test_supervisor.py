@@ -197,6 +197,8 @@ def test_an_exchange_may_last_until_the_silence_is_a_loss_and_without_limit_whil
     supervisor = running()
     supervisor.check_exchange(True, 10 * MS)
     assert supervisor.exchange_time_left_s(150 * MS) == pytest.approx(0.06)
+    assert supervisor.exchange_time_left_s(210 * MS - 1) == pytest.approx(1e-9)
+    assert supervisor.exchange_time_left_s(210 * MS) == float("inf")  # no time is left: 0 s would forbid every exchange
     assert supervisor.exchange_time_left_s(250 * MS) == float("inf")
     assert Supervisor(limits()).exchange_time_left_s(0) == float("inf")
 
