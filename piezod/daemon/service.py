@@ -332,6 +332,7 @@ class Service:
             if session is not None and session.ring_log_is_broken:
                 await self._command("ring log")
                 session.open_ring_log()
+                self.statistics.skip_lost_rows()
                 if self._recorder is not None:
                     self._recorder.follow(self._bench.ring_log_path)
                 made.append("ring log")
@@ -346,7 +347,10 @@ class Service:
 
     def _read_rows(self, session: Session) -> bool:
         """Evaluate the new rows of the ring log; return whether there were any."""
+        dropped = session.dropped
         rows = session.read()
+        if session.dropped != dropped:
+            self.statistics.skip_lost_rows()
         self.statistics.add(rows)
         self.model_watch.add(rows)
         self.railed_watch.add(rows, self._bench)
