@@ -57,8 +57,8 @@ RESTORED_WITHIN_S = 3.0  # the service looks for its files each second
 FOREIGN_WITHIN_S = 0.1  # the guard compares the set point each 50 ms
 SERVICES = ("daemon", "second daemon")
 ENDS_WITHIN_S = 15.0  # from SIGTERM to the end of every process of the service
-CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "scrape", "stream", "start", "signal_service", "kill_service",
-        "disk_fault", "kill_recorder")  # fmt: skip
+CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "scrape", "stream", "start", "signal_service",
+        "kill_service", "disk_fault", "kill_recorder")  # fmt: skip
 CALM_AFTER_S = 1.5
 STEADY_FROM_V = 10.0
 STEADY_SHARE = 0.7  # of the time of the ramp: the reference may fall by 15 V until it begins
@@ -397,7 +397,7 @@ class History:
             self.violate("rate", f"{from_V:.1f} V to rest in {rest_s:.3f} s after {reason}, at least {least_s:.3f} s")
 
     def ask(self, command, sends=None, *, whole=False):
-        """A client sends a command; its answer is noted. `sends` is called with whether it was obeyed, and the answer."""
+        """A client sends a command; its answer is noted, and `sends` called with whether it was obeyed, and the answer."""
         machine = self.machine
 
         def talk():
@@ -631,9 +631,22 @@ class History:
             self.expect_rest(name, self._held_s())
             if times == 1:
                 self.expect_steadily(name)
+                if (
+                    self._is_calm()
+                    and self._keeps_up()
+                    and self.state() in (State.DISARMED, State.ARMING, State.RUNNING)
+                ):
+                    self._expect_no_fault(self.service, self.happened)
             for _ in range(times):
                 if self.alive:
                     self.service.signal(number)
+
+    def _expect_no_fault(self, service, number):
+        """A service that a signal ends, and that nothing else happens to, ends with 0."""
+        if service.alive and self.happened == number:
+            self.machine.after(round(LOOK_S * SECOND), lambda: self._expect_no_fault(service, number))
+        elif self.happened == number and service.code:
+            self.violate("exit", f"the service ended with {service.code} after a signal")
 
     def second_service(self):
         """Somebody starts the service once more for the same bench."""

@@ -142,6 +142,11 @@ HOLES = {
     "the arm of a start survives a stop": Hole(
         "piezod.daemon.service", "        self._arm_withdrawn = True\n", "", "F3: an arm that acts after a stop",
     ),
+    "a watchdog of before is a fault of the stop": Hole(
+        "piezod.control.supervisor", "elif status & STATUS_WATCHDOG and not self._watchdog_of_before:",
+        "elif status & STATUS_WATCHDOG and (not self._watchdog_of_before or self.state is not State.ARMING):",
+        "R1: a stop ends with 0",
+    ),
     "removed files stay away without a device": Hole(
         "piezod.daemon.service", "if clock.monotonic() > self._files_seen_s + FILES_INTERVAL_S:",
         "if self._channel.connected and clock.monotonic() > self._files_seen_s + FILES_INTERVAL_S:",

@@ -129,7 +129,11 @@ def _replies(rng, time_s, events):
 
 
 def _stopped(rng, time_s, events):
-    """A stop that overtakes the arm."""
+    """A stop that overtakes the arm, or a signal that meets it."""
+    if rng.random() < 0.3:
+        events.append(Event(time_s + rng.uniform(0.0, 0.04), "signal_service", ("SIGTERM", 1)))
+        events.append(Event(time_s + 2.0, "start"))
+        return time_s + 4.0
     events += [Event(time_s + rng.uniform(0.0, 0.004), "urge", ("stop",)), Event(time_s + 2.5, "arm")]
     return time_s + 2.6
 

@@ -63,6 +63,14 @@ def test_a_stop_while_the_service_starts_withdraws_the_arm_of_its_start(time_s, 
     assert not any("RUNNING" in line for line in result.log)
 
 
+@pytest.mark.parametrize("time_s", [2.0, 2.0001, 2.001, 2.005, 2.01, 2.012, 2.0145, 2.02, 2.06, 2.3])
+def test_a_signal_at_any_time_of_arming_ends_without_a_fault(time_s):
+    """The watchdog of a device at rest has tripped, and the first command clears it."""
+    result = run(Plan(1, 5.0, events=(Event(2.0, "arm"), Event(time_s, "signal_service", ("SIGTERM", 1)))))
+    assert result.violations == []
+    assert not any("FAULT" in line for line in result.log)
+
+
 @pytest.mark.parametrize("name", ["ring.sock", "ring.sock.stop", "ring.lock"])
 def test_a_removed_file_is_made_again_while_no_device_answers(name):
     events = (Event(1.5, "kill_all"), Event(1.6, "refuse_connections", (9.0,)), Event(1.7, "start"))
