@@ -397,7 +397,7 @@ class History:
             self.violate("rate", f"{from_V:.1f} V to rest in {rest_s:.3f} s after {reason}, at least {least_s:.3f} s")
 
     def ask(self, command, sends=None, *, whole=False):
-        """A client sends a command; its answer is noted, and `sends` called with whether it was obeyed, and the answer."""
+        """A client sends a command; its answer is noted, and `sends` called with whether it was obeyed, and with it."""
         machine = self.machine
 
         def talk():
