@@ -55,6 +55,8 @@ ARMING_MORE_S = 0.35 + 1.0  # the rise to 140 V at 400 V/s, and checks before it
 RESTART_WITHIN_S = 0.3  # 60 ms in the fault list; slow machines among the seeds
 RESTORED_WITHIN_S = 3.0  # the service looks for its files each second
 FOREIGN_WITHIN_S = 0.1  # the guard compares the set point each 50 ms
+DRIFTED = "see piezod diagnose --from-bench"
+DRIFT_WINDOW_S = 2.0  # shorter than on a bench, so that a history has several
 KEPT_WITHIN_S = 3.0  # from the heat file to the end of a run, which waits 2 s for the reader of its log
 SERVICES = ("daemon", "second daemon")
 ENDS_WITHIN_S = 15.0  # from SIGTERM to the end of every process of the service
@@ -113,7 +115,7 @@ class History:
         self.sending_N, self.sequence = None, 0
         self.answers = []
         self.writes = self.reloads = 0
-        self.disturbed_until_ns = 0
+        self.disturbed_until_ns, self.was_disturbed = 0, False
         self.calm_before = True
         self.steady = None  # time [ns], output [V] and reason of a ramp down whose rate is judged
         self.watchdog_known_ns = self.arming_since_ns = 0
@@ -135,7 +137,7 @@ class History:
             "reference": reference,
             "daemon": {"ring_log": str(folder / "ring"), "ring_seconds": 10},
             "real_time": {"fifo_priority": 0, "lock_memory": False, "hold_cpu_latency": False},
-            "drift": None,
+            "drift": {"window_s": DRIFT_WINDOW_S} if plan.drift else None,
         }
         if plan.metrics:
             content["daemon"]["metrics_port"] = METRICS_PORT
@@ -220,6 +222,9 @@ class History:
         left = [process.name for process in machine.processes if process.alive and process is not self.operator]
         if left:
             self.violate("end", f"{', '.join(left)} still run {ENDS_WITHIN_S:g} s after the end")
+        alarms = [line for process in machine.processes for line in process.log if DRIFTED in line]
+        if alarms and not self.was_disturbed:
+            self.violate("drift", f"an alarm of a bench that nothing has changed: {alarms[0]}")
         lost, wrong = self.disk.losses(self.folder / "recordings")
         if lost or wrong:
             self.violate(
@@ -380,7 +385,7 @@ class History:
         elif event.name == "lost_reply":
             self.disturbed_until_ns = max(self.disturbed_until_ns, self.machine.now_ns + SECOND)
         elif event.name not in CALM:
-            self.disturbed_until_ns = math.inf
+            self.disturbed_until_ns, self.was_disturbed = math.inf, True
         getattr(self, event.name)(*event.arguments)
 
     def expect_steadily(self, reason):

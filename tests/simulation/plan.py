@@ -34,6 +34,7 @@ class Plan:
     wire: str = "tcp"
     recorder: bool = False
     metrics: bool = False
+    drift: bool = False
     frequency_Hz: float = 1.0
     latency_ns: tuple = (20_000, 30_000)
     events: tuple = field(default=())
@@ -262,6 +263,7 @@ def draw(seed, seconds):
         reference="stream" if stream else "sine",
         recorder=rng.random() < 0.3,
         metrics=rng.random() < 0.3,
+        drift=rng.random() < 0.3,
         frequency_Hz=rng.choice((0.5, 1.0, 4.0)),
         latency_ns=(20_000, 30_000) if not slow else (60_000, 1_500_000),
         wire="rtu" if rng.random() < 0.25 else "tcp",

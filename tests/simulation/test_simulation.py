@@ -77,6 +77,19 @@ def test_a_removed_file_is_made_again_while_no_device_answers(name):
     assert run(Plan(1, 9.0, events=(*events, Event(4.0, "remove_files", (name,))))).violations == []
 
 
+@pytest.mark.parametrize(("effects", "kinds"), [((), []), (("creep",), ["drift"])])
+def test_only_a_bench_that_has_another_law_than_its_model_raises_an_alarm(effects, kinds):
+    result = run(Plan(1, 16.0, drift=True, effects=effects, events=(Event(2.0, "arm"),)))
+    assert [kind for kind, *_ in result.violations] == kinds
+
+
+def test_a_polite_client_of_the_metrics_is_told_the_state_beside_impolite_ones():
+    events = [Event(2.0, "arm"), Event(3.0, "scrape", (40, 1)), Event(3.1, "scrape", (40, 2)), Event(4.5, "stop")]
+    events += [Event(1.0 + 0.31 * n, "scrape", (1, 0)) for n in range(16)]
+    events = tuple(sorted(events, key=lambda event: event.time_s))
+    assert run(Plan(1, 7.0, metrics=True, events=events)).violations == []
+
+
 def test_shrinking_keeps_the_events_that_matter():
     extra = tuple(Event(2.0 + 0.05 * n, "status") for n in range(1, 8))
     needed = (Event(2.0, "arm"), Event(3.0, "watchdog", (0,)), Event(3.001, "kill_all"))
