@@ -102,7 +102,7 @@ class History:
         self.service = None
         self.operator = Process(machine, "operator")
         self.operator.start(lambda: machine.sleep(1e6))  # its clients are threads of their own
-        self.violations = []
+        self.violations, self.observed = [], {}
         self.rest_due = None
         self.arms = 0  # commands on their way
         self.arms_at_start = False  # as with `piezod run --arm`
@@ -540,6 +540,7 @@ class History:
             self.machine.note("scraped", len(answer))
             told = STATE_OF_METRICS.findall(answer.decode("ascii", "replace"))
             if told:
+                self.observed["scraped"] = self.observed.get("scraped", 0) + 1
                 self._judge_told(told[0].upper(), is_stale=STALE_METRICS in answer)
 
         for _ in range(count):
