@@ -43,6 +43,8 @@ MACHINE_S = 0.3  # for a command on its way through the processes
 REST_WITHIN_S = 140.0 / RAMP_DOWN_V_PER_S + COMM_LOSS_S + WATCHDOG_S + MACHINE_S
 TRIP_MARGIN_N = 25.0  # noise, and the force that is left on the stack at 0 V
 TRIPPED_WITHIN_S = 0.5  # down to `LOW_TRIP_N`; a lower trip needs the ramp from 140 V nearly to its end
+PASSED_EACH_PERIOD_N = 100.0  # the sine of 120 +- 40 N is below it for a third of its period at most
+EXCEEDED_WITHIN_S = 1.0  # a third of the longest period, 2 s, and the debounce
 LOW_TRIP_N, LOW_TRIPPED_WITHIN_S = 100.0, 140.0 / RAMP_DOWN_V_PER_S + 0.1
 LOOK_S = 0.02
 TOLD_WITHIN_S = 0.5  # a state that is told was that of a tick so long ago at most; the service looks each 0.1 s
@@ -588,9 +590,14 @@ class History:
 
     def _reloaded(self, writes, former_N):
         """What an accepted reload changes: the trip, or an unknown one where the file has changed meanwhile."""
+        number = self.happened
 
         def accept(good, text):
             self.reloads -= 1
+            exceeded = self.sending_N is None or self.sending_N > PASSED_EACH_PERIOD_N
+            low = exceeded and self.trip_in_file_N <= PASSED_EACH_PERIOD_N
+            if good and text == "limits taken" and self.happened == number and low:
+                self._expect_state((State.RAMP_DOWN, State.FAULT), EXCEEDED_WITHIN_S, "a trip below the force")
             driven = self.state() is State.RUNNING and self.writes == writes
             if good and text == "limits taken" and driven and -math.inf < former_N < self.trip_in_file_N:
                 self.violate(
