@@ -180,6 +180,11 @@ def _removed(rng, time_s, events):
     """A file of the service is removed; then somebody may start it once more."""
     time_s += rng.uniform(0.7, 1.5)
     name = rng.choice(("ring.sock.stop", "ring.sock", "ring.lock", "locks"))
+    if rng.random() < 0.3:  # no device answers
+        events += [Event(time_s, "kill_all"), Event(time_s + 0.1, "refuse_connections", (9.0,)),
+                   Event(time_s + 0.2, "start"), Event(time_s + 2.5, "remove_files", (name,)),
+                   Event(time_s + 6.0, "heal")]  # fmt: skip
+        return time_s + 7.0
     events.append(Event(time_s, "remove_files", (name,)))
     if rng.random() < 0.5:
         events.append(Event(time_s + rng.uniform(0.0, 2.5), "second_service"))
