@@ -55,7 +55,7 @@ class Supervisor:
         self._bad_in_a_row = 0
         self._fault = Cause.NONE
         self._fast_stop = False
-        self._watchdog_clear = False
+        self._watchdog_of_before = False
         self.readings_stale = self.amplifier_tripped = False
         self.state = State.DISARMED
         self.cause = Cause.NONE
@@ -167,7 +167,7 @@ class Supervisor:
             self._planned_ns = planned_ns
             self._bad_in_a_row = 0
             self._fast_stop = self.readings_stale = self.amplifier_tripped = False
-            self._watchdog_clear = False  # a watchdog that tripped earlier is cleared by the first command
+            self._watchdog_of_before = True  # it may have tripped earlier; the first command clears it
             for count in (self._missed, self._failed):
                 count.clear()
             for interlock in self._cleared:
@@ -177,6 +177,7 @@ class Supervisor:
     def start_running(self) -> None:
         """ARMING -> RUNNING: the output has reached the first reference."""
         if self.state is State.ARMING:
+            self._watchdog_of_before = False
             self._go(State.RUNNING, Cause.REFERENCE_REACHED)
 
     def stop(self, cause: Cause = Cause.STOPPED, *, fast: bool = False) -> None:
@@ -199,6 +200,7 @@ class Supervisor:
         if self.state in (State.DISARMED, State.FAULT):
             self._last_good_ns = now_ns
             self._bad_in_a_row = 0
+            self._watchdog_of_before = False
             self._go(State.RAMP_DOWN, Cause.STOPPED)
 
     def hold(self, cause: Cause) -> None:
@@ -319,12 +321,12 @@ class Supervisor:
         """
         cause = self._force.check(force_N, now_ns)
         self.amplifier_tripped = self.amplifier_tripped or bool(status & STATUS_FAULTS)
-        self._watchdog_clear = self._watchdog_clear or not status & STATUS_WATCHDOG
+        self._watchdog_of_before = self._watchdog_of_before and bool(status & STATUS_WATCHDOG)
         if cause is not Cause.NONE:
             self.trip(cause)
         elif status & STATUS_FAULTS:
             self.trip(_device_fault(status))
-        elif status & STATUS_WATCHDOG and (self._watchdog_clear or self.state is not State.ARMING):
+        elif status & STATUS_WATCHDOG and not self._watchdog_of_before:
             self.trip(Cause.DEVICE_WATCHDOG)
         else:
             self.trip_on(self._device.check(status, now_ns) or self._temperature.check(temperature_C, now_ns))

@@ -110,7 +110,9 @@ class CommandChannel:
         """
         return self._messages.get_nowait()
 
-    async def send(self, name: str, argument: object = None, *, settle_s: float) -> str:
+    async def send(
+        self, name: str, argument: object = None, *, settle_s: float, requested_ns: int | None = None
+    ) -> str:
         """Send a command and wait for its answer; one command at a time, except those of `AT_ONCE`.
 
         Parameters
@@ -119,6 +121,8 @@ class CommandChannel:
             Command of the control process (`session/command_queue.py`).
         settle_s
             Time to wait after the answer, so that the next status shows the effect of the command [s].
+        requested_ns
+            Monotonic time of the request, from which the command expires [ns]; None: now.
 
         Returns
         -------
@@ -130,7 +134,7 @@ class CommandChannel:
         PiezodError
             The command is refused, the device is not connected, or the control process does not answer.
         """
-        requested_ns = clock.monotonic_ns()
+        requested_ns = clock.monotonic_ns() if requested_ns is None else requested_ns
         try:
             async with asyncio.timeout(ANSWER_WITHIN_S):
                 async with contextlib.nullcontext() if name in AT_ONCE else self._lock:

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import socket
 from collections.abc import Callable, Iterable, Sequence
 from math import inf
 
@@ -26,6 +27,7 @@ from piezod.daemon.statistics import BOUNDS_S, DurationHistogram, TickStatistics
 from piezod.errors import BusyError
 from piezod.recorder.watch import RecorderWatch
 from piezod.recording.age import is_stale
+from piezod.runtime import sockets
 from piezod.transport import ExchangeResult
 
 ADDRESS = "127.0.0.1"  # only programs on this machine can read the metrics
@@ -304,9 +306,14 @@ class MetricsServer:
         BusyError
             Another program uses the port.
         """
+        listener = sockets.socket(socket.AF_INET, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         try:
-            self._server = await asyncio.start_server(self._connections.accept, ADDRESS, port, limit=LONGEST_REQUEST)
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind((ADDRESS, port))
+            listener.setblocking(False)
+            self._server = await asyncio.start_server(self._connections.accept, sock=listener, limit=LONGEST_REQUEST)
         except OSError as error:
+            listener.close()
             raise BusyError(
                 f"daemon.metrics_port: {ADDRESS}:{port} cannot be bound: {error.strerror}; choose another port"
             ) from error

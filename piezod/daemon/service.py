@@ -85,8 +85,10 @@ class Service:
         self._channel = CommandChannel(session)
         self._wake = asyncio.Event()
         self._control_socket = ControlSocket(bench, self._answer, log_line)
-        self._stop_path = StopPath(bench, self._channel.urge)
+        self._stop_path = StopPath(bench, self._urge)
+        self._arm_withdrawn = False
         self._files_problem = ""
+        self._files_seen_s = 0.0
         self._stops_requested = 0
         self.outcome = Outcome()
         self.statistics = TickStatistics(self._log_transition)
@@ -217,6 +219,7 @@ class Service:
         deadline_s = clock.monotonic() + pause_s
         while (left_s := deadline_s - clock.monotonic()) > 0 and not self._wake.is_set():
             self._notifier.alive()
+            await self._look_after_files(None)
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), min(left_s, 0.5))
         self._wake.clear()
@@ -261,15 +264,28 @@ class Service:
                 self._notifier.starting()
             if self._stops_requested:
                 session.stop()
+            await self._look_after_files(session)
             await asyncio.sleep(POLL_INTERVAL_S / 10)
         kind, content = self._channel.next_message()
         if kind == "error" and not self._stops_requested:
             raise rebuild_error(*content)
         return kind, content
 
+    def _urge(self, name: str) -> str:
+        """Pass `stop` or `disarm` to the control process; one that starts will not arm. Safe in every thread."""
+        self._arm_withdrawn = True
+        text = self._channel.urge(name)
+        return "the start will not arm any more" if self._arm and not self._channel.connected else text
+
     async def _arm_at_start(self, session: Session) -> None:
+        """Arm once, or end if a stop has come before; a stop after this look is later than the request."""
+        requested_ns = clock.monotonic_ns()
+        if self._arm_withdrawn:
+            log_line(f"{self._bench.name}: a stop came before the arm; ending")
+            session.stop()
+            return
         try:
-            await self._command("arm")
+            await self._command("arm", requested_ns=requested_ns)
         except PiezodError:
             session.stop()
             raise
@@ -277,11 +293,9 @@ class Service:
 
     async def _follow(self, session: Session) -> None:
         """Read the ring log until the control process ends."""
-        begun_s = checked_s = clock.monotonic()
+        begun_s = clock.monotonic()
         while not self._channel.has_message:
-            if clock.monotonic() > checked_s + FILES_INTERVAL_S:
-                checked_s = clock.monotonic()
-                await self._restore_files(session)
+            await self._look_after_files(session)
             is_starting = self.statistics.last is None and clock.monotonic() - begun_s < READY_WITHIN_S
             if self._read_rows(session) or is_starting:
                 self._notifier.alive()
@@ -297,19 +311,28 @@ class Service:
             raise rebuild_error(*content)
         self.outcome = content
 
-    async def _restore_files(self, session: Session) -> None:
+    async def _look_after_files(self, session: Session | None) -> None:
+        """Restore removed files, if the last look was `FILES_INTERVAL_S` ago; also while no device is connected."""
+        if clock.monotonic() > self._files_seen_s + FILES_INTERVAL_S:
+            self._files_seen_s = clock.monotonic()
+            await self._restore_files(session)
+
+    async def _restore_files(self, session: Session | None) -> None:
         """Make lock, sockets and ring log again if somebody has removed them; end if another program has the bench."""
         try:
             if not self._lock.restore():
                 log_line(f"{self._bench.name}: its lock was removed, and another program has taken it; ramping down")
                 self._stops_requested += 1
-                session.stop()
+                self._wake.set()
+                if session is not None:
+                    session.stop()
                 return
             made = ["socket"] if await self._control_socket.restore() else []
             made += ["stop socket"] if self._stop_path.restore() else []
-            if session.ring_log_is_broken:
+            if session is not None and session.ring_log_is_broken:
                 await self._command("ring log")
                 session.open_ring_log()
+                self.statistics.skip_lost_rows()
                 if self._recorder is not None:
                     self._recorder.follow(self._bench.ring_log_path)
                 made.append("ring log")
@@ -324,7 +347,10 @@ class Service:
 
     def _read_rows(self, session: Session) -> bool:
         """Evaluate the new rows of the ring log; return whether there were any."""
+        dropped = session.dropped
         rows = session.read()
+        if session.dropped != dropped:
+            self.statistics.skip_lost_rows()
         self.statistics.add(rows)
         self.model_watch.add(rows)
         self.railed_watch.add(rows, self._bench)
@@ -336,13 +362,16 @@ class Service:
         log_line(f"{text} (force {row['force_N']:.2f} N, voltage {row['voltage_V']:.2f} V)")
         self._notifier.status(text)
 
-    async def _command(self, name: str, argument: object = None) -> str:
-        return await self._channel.send(name, argument, settle_s=2 * self._bench.dt_s)
+    async def _command(self, name: str, argument: object = None, requested_ns: int | None = None) -> str:
+        return await self._channel.send(name, argument, settle_s=2 * self._bench.dt_s, requested_ns=requested_ns)
 
     async def _answer(self, command: str, peer: Peer) -> dict[str, object]:
         """Execute one command of the socket."""
         if command in URGENT:
-            self._channel.urge(command)  # before the pipe, which may be full of other commands
+            text = self._urge(command)  # before the pipe, which may be full of other commands
+            if self._arm and not self._channel.connected:
+                log_line(f"socket: {command} by {peer}: {text}")
+                return {"ok": True, "message": text}
         if command == "status":
             return {"ok": True, **self.status()}
         if command == "log":

@@ -37,6 +37,10 @@ class TrackingError:
         """Root mean square error [N]; nan before the first tick."""
         return sqrt(self._sum_of_squares / self.ticks) if self.ticks else float("nan")
 
+    def skip(self) -> None:
+        """Forget the last row: the next reading does not belong to its command."""
+        self._before = None
+
     def add(self, rows: NDArray[np.void]) -> None:
         """Add new rows of the ring log."""
         if not rows.size:
@@ -117,8 +121,13 @@ class TickStatistics:
 
     def begin(self) -> None:
         """Begin a new session, whose tick numbers begin again; the sums stay."""
-        self._next_tick = None
+        self.skip_lost_rows()
         self.last = None
+
+    def skip_lost_rows(self) -> None:
+        """Note that rows were lost before the next one: they are no missed ticks, and give no tracking error."""
+        self._next_tick = None
+        self.tracking.skip()
 
     def add(self, rows: NDArray[np.void]) -> None:
         """Add new rows of the ring log."""

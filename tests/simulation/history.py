@@ -5,6 +5,7 @@ import itertools
 import json
 import math
 import os
+import re
 import signal
 import struct
 import sys
@@ -28,20 +29,26 @@ from tests.simulation.disk import Disk
 from tests.simulation.installed import install, new_process_of_the_daemon
 from tests.simulation.machine import BOOTED_NS, SECOND, Machine, Process, Thread
 from tests.simulation.serial_line import BAUDRATE, make_network
-from tests.simulation.sockets import Kernel
+from tests.simulation.sockets import LOOPBACK, Kernel
 from tests.simulation.spawning import Spawning
 
 ROOT = Path(__file__).parents[2]
 BENCH = ROOT / "config" / "bench.yaml"
 PORT = 15020
+METRICS_PORT = 19020
 SLEW_V_PER_S = 800.0
 RAMP_DOWN_V_PER_S = 200.0
 COMM_LOSS_S, WATCHDOG_S = 0.4, 0.2
 MACHINE_S = 0.3  # for a command on its way through the processes
 REST_WITHIN_S = 140.0 / RAMP_DOWN_V_PER_S + COMM_LOSS_S + WATCHDOG_S + MACHINE_S
 TRIP_MARGIN_N = 25.0  # noise, and the force that is left on the stack at 0 V
-TRIPPED_WITHIN_S = 0.5
+TRIPPED_WITHIN_S = 0.5  # down to `LOW_TRIP_N`; a lower trip needs the ramp from 140 V nearly to its end
+PASSED_EACH_PERIOD_N = 100.0  # the sine of 120 +- 40 N is below it for a third of its period at most
+EXCEEDED_WITHIN_S = 1.0  # a third of the longest period, 2 s, and the debounce
+LOW_TRIP_N, LOW_TRIPPED_WITHIN_S = 100.0, 140.0 / RAMP_DOWN_V_PER_S + 0.1
 LOOK_S = 0.02
+TOLD_WITHIN_S = 0.5  # a state that is told was that of a tick so long ago at most; the service looks each 0.1 s
+STALE_AFTER_S = 1.0  # values of this age are told as such, by a service that looked `TOLD_WITHIN_S` ago at most
 SHOWN_WITHIN_S = 0.1  # an accepted arm is answered some ticks before the log shows its state
 WATCHDOG_KNOWN_S = 2.0  # the guard reads it each second; then the ramp down
 SENT_EVERY_S = 0.01
@@ -50,12 +57,18 @@ ARMING_MORE_S = 0.35 + 1.0  # the rise to 140 V at 400 V/s, and checks before it
 RESTART_WITHIN_S = 0.3  # 60 ms in the fault list; slow machines among the seeds
 RESTORED_WITHIN_S = 3.0  # the service looks for its files each second
 FOREIGN_WITHIN_S = 0.1  # the guard compares the set point each 50 ms
+DRIFTED = "see piezod diagnose --from-bench"
+DRIFT_WINDOW_S = 2.0  # shorter than on a bench, so that a history has several
+KEPT_WITHIN_S = 3.0  # from the heat file to the end of a run, which waits 2 s for the reader of its log
+SERVICES = ("daemon", "second daemon")
 ENDS_WITHIN_S = 15.0  # from SIGTERM to the end of every process of the service
-CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "stream", "start", "signal_service", "kill_service",
-        "disk_fault", "kill_recorder")  # fmt: skip
+CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "scrape", "stream", "start", "signal_service",
+        "kill_service", "disk_fault", "kill_recorder")  # fmt: skip
 CALM_AFTER_S = 1.5
 STEADY_FROM_V = 10.0
 STEADY_SHARE = 0.7  # of the time of the ramp: the reference may fall by 15 V until it begins
+STATE_OF_METRICS = re.compile(r'piezod_state\{bench="[^"]*",state="(\w+)"\} 1\.0')
+STALE_METRICS = b'piezod_stale{bench="emulator"} 1.0'
 DRIVEN = (State.ARMING, State.RUNNING, State.HOLD, State.RAMP_DOWN)
 
 
@@ -91,19 +104,20 @@ class History:
         self.service = None
         self.operator = Process(machine, "operator")
         self.operator.start(lambda: machine.sleep(1e6))  # its clients are threads of their own
-        self.violations = []
+        self.violations, self.observed = [], {}
         self.rest_due = None
         self.arms = 0  # commands on their way
         self.arms_at_start = False  # as with `piezod run --arm`
-        self.last_arm_ns = self.arm_answered_ns = 0
+        self.last_arm_ns = self.arm_answered_ns = self.wall_stepped_ns = 0
         self.resets, self.pinned = 0, None  # the control process whose fault a refused reset has left
         self.happened = 0  # number of events so far
         self.trip_in_file_N, self.trip_N = 360.0, 360.0
         self.excused = set()
+        self.signalled = set()  # services that were told to end
         self.sending_N, self.sequence = None, 0
         self.answers = []
         self.writes = self.reloads = 0
-        self.disturbed_until_ns = 0
+        self.disturbed_until_ns, self.was_disturbed = 0, False
         self.calm_before = True
         self.steady = None  # time [ns], output [V] and reason of a ramp down whose rate is judged
         self.watchdog_known_ns = self.arming_since_ns = 0
@@ -125,8 +139,10 @@ class History:
             "reference": reference,
             "daemon": {"ring_log": str(folder / "ring"), "ring_seconds": 10},
             "real_time": {"fifo_priority": 0, "lock_memory": False, "hold_cpu_latency": False},
-            "drift": None,
+            "drift": {"window_s": DRIFT_WINDOW_S} if plan.drift else None,
         }
+        if plan.metrics:
+            content["daemon"]["metrics_port"] = METRICS_PORT
         if plan.recorder:
             content["recorder"] = {"folder": str(folder / "recordings"), "sync_every_s": 0.5}
         if plan.wire == "rtu":
@@ -198,14 +214,19 @@ class History:
         machine.note("finish")
         if self.alive:
             self.expect_rest("SIGTERM at the end")
-            self.service.stopped_until_ns = 0
-            self.service.signal(signal.SIGTERM)
+        for service in [one for one in machine.processes if one.alive and one.name in SERVICES]:
+            service.stopped_until_ns = 0
+            if service not in self.signalled:  # a signal of before must be enough
+                service.signal(signal.SIGTERM)
         end_ns = machine.now_ns + round(ENDS_WITHIN_S * SECOND)
         while machine.now_ns < end_ns and any(p.alive for p in machine.processes if p is not self.operator):
             machine.run(machine.now_ns + SECOND // 10)
         left = [process.name for process in machine.processes if process.alive and process is not self.operator]
         if left:
             self.violate("end", f"{', '.join(left)} still run {ENDS_WITHIN_S:g} s after the end")
+        alarms = [line for process in machine.processes for line in process.log if DRIFTED in line]
+        if alarms and not self.was_disturbed:
+            self.violate("drift", f"an alarm of a bench that nothing has changed: {alarms[0]}")
         lost, wrong = self.disk.losses(self.folder / "recordings")
         if lost or wrong:
             self.violate(
@@ -228,10 +249,11 @@ class History:
             self.violations.append((kind, self.machine.time_s if time_s is None else time_s, text))
             self.machine.note("VIOLATION", kind, text)
 
-    def start(self):
-        """Start the service, as `piezod run` does."""
+    def start(self, arms=None):
+        """Start the service, as `piezod run` does, or `piezod run --arm`."""
         if self.alive:
             return
+        arms_now = self.arms_at_start if arms is None else arms
         new_process_of_the_daemon()
         self.service = Process(self.machine, "daemon")
 
@@ -239,7 +261,8 @@ class History:
             self.machine.sleep(self.spawning.start_s())
             self.trip_N = self.trip_in_file_N
             try:
-                code = run_foreground(self.path, arm=self.arms_at_start).exit_code
+                code = run_foreground(self.path, arm=arms_now).exit_code
+                self._judge_heat_kept()
             except PiezodError as error:
                 self.machine.note("service", "ends with", error)
                 self.answers.append((self.machine.time_s, "run", str(error)))
@@ -247,17 +270,40 @@ class History:
             sys.exit(code)
 
         self.service.start(run)
+        if arms:
+            self.arm_begins()
+            self._arms_itself(self.service)
+
+    def _arms_itself(self, service):
+        """The arm of the start is on its way until the service reports it or ends."""
+        if service.alive and not any(line.endswith(", armed") for line in service.log):
+            self.machine.after(round(LOOK_S * SECOND), lambda: self._arms_itself(service))
+        else:
+            self.arm_ends("arm")
 
     # what holds ---------------------------------------------------------------------------------------------------
 
     def look(self):
         self.judge()
+        if self.alive and self.control is not None and (self.folder / "ring.heat").exists():
+            self.violate("heat", "the heat of an earlier run is still there while the bench is driven: a kill keeps it")
         self.machine.after(round(LOOK_S * SECOND), self.look)
 
+    def _judge_heat_kept(self):
+        """A run that ends by itself leaves the heat of the stack, with the time."""
+        kept = json.loads((self.folder / "ring.heat").read_text(encoding="ascii"))
+        age_s = 1e-9 * (self.machine.now_ns + self.machine.wall_offset_ns) - kept["time_s"]
+        stepped = self.machine.now_ns - self.wall_stepped_ns < KEPT_WITHIN_S * SECOND
+        if not (0.0 <= kept["power_W"] < math.inf and (stepped or 0.0 <= age_s < KEPT_WITHIN_S)):
+            self.violate("heat", f"{kept} was kept {age_s:.3f} s ago")
+
     def state(self):
-        """State in the last row of the ring log; None while no control process runs."""
-        if self.control is None:
-            return None
+        """State in the last row of the control process; None before its first row, and while there is none."""
+        rows = None if self.control is None else self._rows(1)
+        return None if rows is None else State(int(rows["state"][-1]))
+
+    def _rows(self, most=200):
+        """The last rows of the ring log; None where the present control process has written none."""
         try:
             reader = RingReader(self.folder / "ring")
         except PiezodError:
@@ -265,9 +311,11 @@ class History:
         waiting = reader.waiting
         if not waiting:
             return None
-        reader.seek(waiting - 1)
+        reader.seek(max(0, waiting - most))
         rows = reader.read()
-        return State(int(rows["state"][-1])) if rows.size else None
+        if not rows.size or rows["time_ns"][-1] < self.control.started_ns:  # of a process that was killed
+            return None
+        return rows
 
     def judge(self):
         """Judge the physics until now, and what is due."""
@@ -275,7 +323,8 @@ class History:
         amplifier.catch_up()
         judge = amplifier.judge
         judge[judged.TRIP] = self.trip_N + TRIP_MARGIN_N
-        judge[judged.MOST_OVER] = TRIPPED_WITHIN_S / amplifier.bench.step_s
+        within_s = LOW_TRIPPED_WITHIN_S if self.trip_N < LOW_TRIP_N else TRIPPED_WITHIN_S
+        judge[judged.MOST_OVER] = within_s / amplifier.bench.step_s
         at_rest = judge[judged.REST_STEP] >= 0
         judge[judged.JUDGES_FORCE] = float(not self.excused)
         for kind, time_s, text in amplifier.violations():
@@ -331,21 +380,22 @@ class History:
         self.happened += 1
         self.machine.note("event", event.name, *event.arguments)
         self.calm_before = self.machine.now_ns > self.disturbed_until_ns
-        if event.name not in ("status", "reset", "heal", "start"):
+        if event.name not in ("status", "scrape", "reset", "heal", "start"):
             self.steady = None
         if event.name == "heal":
             self.disturbed_until_ns = self.machine.now_ns + round(CALM_AFTER_S * SECOND)
         elif event.name == "lost_reply":
             self.disturbed_until_ns = max(self.disturbed_until_ns, self.machine.now_ns + SECOND)
         elif event.name not in CALM:
-            self.disturbed_until_ns = math.inf
+            self.disturbed_until_ns, self.was_disturbed = math.inf, True
         getattr(self, event.name)(*event.arguments)
 
     def expect_steadily(self, reason):
         """The ramp down that begins now has the rate of the bench file, where nothing else is wrong."""
         self.amplifier.catch_up()
         calm = self.machine.now_ns > max(self.disturbed_until_ns, self.machine.stalled_until_ns)
-        if calm and self.state() is State.RUNNING and self.amplifier.bench.output_V > STEADY_FROM_V:
+        first = self.rest_due is not None and self.rest_due[1] == reason  # no faster stop is on its way
+        if calm and first and self.state() is State.RUNNING and self.amplifier.bench.output_V > STEADY_FROM_V:
             self.steady = (self.machine.now_ns, self.amplifier.bench.output_V, reason)
 
     def _judge_rate(self):
@@ -355,8 +405,8 @@ class History:
         if rest_s < least_s:
             self.violate("rate", f"{from_V:.1f} V to rest in {rest_s:.3f} s after {reason}, at least {least_s:.3f} s")
 
-    def ask(self, command, sends=None):
-        """A client sends a command; its answer is noted."""
+    def ask(self, command, sends=None, *, whole=False):
+        """A client sends a command; its answer is noted, and `sends` called with whether it was obeyed, and with it."""
         machine = self.machine
 
         def talk():
@@ -367,8 +417,7 @@ class History:
                     answer = client.ask(command)
                 finally:
                     client.close()
-                text = str(answer.get("message") or answer.get("state"))
-                good = True
+                text, good = str(answer.get("message") or answer.get("state")), True
             except PiezodError as error:
                 text, good = f"{type(error).__name__}: {error}", False
             self.arm_ends(command)
@@ -377,7 +426,7 @@ class History:
             if command == "arm" and not good and not text.startswith("UnreachableError"):
                 self._refused_arm(begun_ns)
             if sends is not None:
-                sends(good, text)
+                sends(good, answer if good and whole else text)
 
         Thread(self.operator, talk, command)
 
@@ -417,10 +466,13 @@ class History:
             self.expect_rest(command, self._held_s())
             if command == "disarm":
                 self.expect_steadily(command)
-        self.ask(command, lambda good, text: self._refused(command, good, text))
+        sent_ns = self.machine.now_ns
+        self.ask(command, lambda good, text: self._ended(command, good, text, sent_ns))
 
-    def _refused(self, command, good, text):
-        """A command that did not reach the service asks for nothing."""
+    def _ended(self, command, good, text, sent_ns):
+        """A command that did not reach the service asks for nothing; after one that was obeyed no former arm drives."""
+        if good:
+            self.machine.after(round(REST_WITHIN_S * SECOND), lambda: self._stays_at_rest(sent_ns))
         if not good and self.rest_due is not None and self.rest_due[1] == command:
             self.rest_due = None
         if "only stop and disarm are obeyed" in text:
@@ -466,7 +518,52 @@ class History:
         self.ask("reset", refused)
 
     def status(self):
-        self.ask("status")
+        def judge(good, text):
+            if good:
+                self._judge_told(text["state"], is_stale=text["stale"])
+
+        self.ask("status", judge, whole=True)
+
+    def scrape(self, count, kind):
+        """Clients of the metrics, most of them impolite; the state that a polite one reads is judged."""
+        request = (b"GET /metrics HTTP/1.1\r\nHost: here\r\n\r\n", b"GET /metrics", b"x" * 20_000, b"")[kind]
+
+        def talk():
+            client = self.kernel.socket()
+            client.settimeout(2.0)
+            answer = b""
+            with contextlib.suppress(OSError):
+                client.connect((LOOPBACK, METRICS_PORT))
+                client.sendall(request)
+                while kind == 0 and (data := client.recv(65536)):
+                    answer += data
+                self.machine.sleep(0.0 if kind == 0 else 1.0)
+            client.close()
+            self.machine.note("scraped", len(answer))
+            told = STATE_OF_METRICS.findall(answer.decode("ascii", "replace"))
+            if told:
+                self.observed["scraped"] = self.observed.get("scraped", 0) + 1
+                self._judge_told(told[0].upper(), is_stale=STALE_METRICS in answer)
+
+        for _ in range(count):
+            Thread(self.operator, talk, "scrape")
+
+    def _judge_told(self, name, *, is_stale):
+        """The state that a client is told was that of a tick in the last `TOLD_WITHIN_S`, or is told as old."""
+        machine, service = self.machine, self.service
+        held = machine.now_ns < machine.stalled_until_ns + TOLD_WITHIN_S * SECOND
+        if self.control is None or held or not self.alive or service.stopped_until_ns or self.excused & {"row"}:
+            return
+        rows = self._rows()
+        if rows is None or is_stale:
+            return
+        age_s = 1e-9 * (machine.now_ns - int(rows["time_ns"][-1]))
+        if age_s > STALE_AFTER_S + TOLD_WITHIN_S:
+            self.violate("told", f"values {age_s:.2f} s old are told as present ones")
+        lately = rows["time_ns"] >= rows["time_ns"][-1] - TOLD_WITHIN_S * SECOND
+        states = {State(int(state)).name for state in rows["state"][lately]}
+        if name not in states:
+            self.violate("told", f"the state is told as {name}, and is {' or '.join(sorted(states))}")
 
     def reload(self, trip_N, by_signal):
         former_N = self.trip_N if self.state() is State.RUNNING and not self.reloads else -math.inf
@@ -474,17 +571,33 @@ class History:
         self.write_trip(trip_N)
         if by_signal:
             if self.alive and self.service.handlers.get(int(signal.SIGHUP)):
-                self.trip_N = math.inf  # its answer is in the log only
+                self.reloads += 1
+                self._wait_for_log(self.service, len(self.service.log), self._reloaded(self.writes, former_N))
                 self.service.signal(signal.SIGHUP)
         else:
             self.reloads += 1
             self.ask("reload", self._reloaded(self.writes, former_N))
 
+    def _wait_for_log(self, service, begun, sends):
+        """The answer to SIGHUP is in the log, behind its first `begun` lines."""
+        lines = [line for line in service.log[begun:] if line.startswith("reload")]
+        if lines:
+            sends(lines[0].startswith("reload: "), lines[0].removeprefix("reload: "))
+        elif service.alive:
+            self.machine.after(round(LOOK_S * SECOND), lambda: self._wait_for_log(service, begun, sends))
+        else:
+            self.reloads -= 1
+
     def _reloaded(self, writes, former_N):
         """What an accepted reload changes: the trip, or an unknown one where the file has changed meanwhile."""
+        number = self.happened
 
         def accept(good, text):
             self.reloads -= 1
+            exceeded = self.sending_N is None or self.sending_N > PASSED_EACH_PERIOD_N
+            low = exceeded and self.trip_in_file_N <= PASSED_EACH_PERIOD_N
+            if good and text == "limits taken" and self.happened == number and low:
+                self._expect_state((State.RAMP_DOWN, State.FAULT), EXCEEDED_WITHIN_S, "a trip below the force")
             driven = self.state() is State.RUNNING and self.writes == writes
             if good and text == "limits taken" and driven and -math.inf < former_N < self.trip_in_file_N:
                 self.violate(
@@ -526,13 +639,29 @@ class History:
             Thread(self.operator, talk, "stranger")
 
     def signal_service(self, name, times):
-        if self.alive and self.service.handlers.get(int(getattr(signal, name))):
+        """Tell the service to end; SIGTERM ends it also before it has a handler, SIGINT would be an exception then."""
+        number = int(getattr(signal, name))
+        if self.alive and (name == "SIGTERM" or self.service.handlers.get(number)):
+            self.signalled.add(self.service)
             self.expect_rest(name, self._held_s())
             if times == 1:
                 self.expect_steadily(name)
+                if (
+                    self._is_calm()
+                    and self._keeps_up()
+                    and self.state() in (State.DISARMED, State.ARMING, State.RUNNING)
+                ):
+                    self._expect_no_fault(self.service, self.happened)
             for _ in range(times):
                 if self.alive:
-                    self.service.signal(getattr(signal, name))
+                    self.service.signal(number)
+
+    def _expect_no_fault(self, service, number):
+        """A service that a signal ends, and that nothing else happens to, ends with 0."""
+        if service.alive and self.happened == number:
+            self.machine.after(round(LOOK_S * SECOND), lambda: self._expect_no_fault(service, number))
+        elif self.happened == number and service.code:
+            self.violate("exit", f"the service ended with {service.code} after a signal")
 
     def second_service(self):
         """Somebody starts the service once more for the same bench."""
@@ -588,6 +717,7 @@ class History:
         self.machine.stalled_until_ns = max(self.machine.stalled_until_ns, self.machine.now_ns + round(for_s * SECOND))
 
     def wall_clock(self, by_s):
+        self.wall_stepped_ns = self.machine.now_ns
         self.machine.wall_offset_ns += round(by_s * SECOND)
 
     def false_reading(self, kind, value, count):
@@ -637,13 +767,21 @@ class History:
 
         self.machine.after(round(within_s * SECOND), look)
 
+    def _keeps_up(self):
+        """Whether the machine misses no tick by itself: a tick waits twice, for its time and for the reply."""
+        return 2 * sum(self.plan.latency_ns) < SECOND / self.plan.rate_Hz
+
     def _is_calm(self):
         return self.calm_before and not self.excused and self.machine.now_ns > self.machine.stalled_until_ns
 
+    def _expect_to_drive_on(self, reason):
+        """What follows is no reason for a fault, where there is a reference, and time for each tick."""
+        if self._keeps_up() and (self.sending_N is not None or self.plan.reference == "sine"):
+            self._expect_state((State.RUNNING,), 0.5, reason)
+
     def lost_reply(self):
         """One reply is lost: no reason for a fault."""
-        if self.sending_N is not None or self.plan.reference == "sine":
-            self._expect_state((State.RUNNING,), 0.5, "one lost reply")
+        self._expect_to_drive_on("one lost reply")
         self.network.rules.append(["drop", "reply", 1, 0.0])
 
     def exchange_device(self):
@@ -699,8 +837,7 @@ class History:
         self.machine.after(SECOND, lambda: self.excused.difference_update({"reading", "writes"}))
 
     def disk_fault(self, fault, every, for_s):
-        if self.sending_N is not None or self.plan.reference == "sine":
-            self._expect_state((State.RUNNING,), 0.5, "a fault of the disk")
+        self._expect_to_drive_on("a fault of the disk")
         self.disk.strike(fault, every)
         self.machine.after(round(for_s * SECOND), self.disk.heal)
 
@@ -725,22 +862,23 @@ class History:
                 if path.is_file():
                     path.unlink()
             name = "ring.lock"
-        service = self.service if self._is_steady() else None
+        service = self.service if self._is_steady(name) and (self.folder / name).exists() else None
         with contextlib.suppress(OSError):
             (self.folder / name).unlink()
         number = self.happened
 
         def look():
-            undisturbed = service is not None and service is self.service and self._is_steady()
+            undisturbed = service is not None and service is self.service and self._is_steady(name)
             if undisturbed and self.happened == number and not (self.folder / name).exists():
                 self.violate("files", f"{name} is missing {RESTORED_WITHIN_S:g} s after its removal")
 
         self.machine.after(round(RESTORED_WITHIN_S * SECOND), look)
 
-    def _is_steady(self):
-        """Whether service and control process run, and nothing holds them."""
+    def _is_steady(self, name):
+        """Whether the service runs, and nothing holds it; the ring log belongs to its control process."""
         held = self.machine.stalled_until_ns > self.machine.now_ns
-        return self.alive and self.control is not None and not self.service.stopped_until_ns and not held
+        runs = self.alive and self.service not in self.signalled and not self.service.stopped_until_ns
+        return runs and not held and (name != "ring" or self.control is not None)
 
     # the reference ------------------------------------------------------------------------------------------------
 

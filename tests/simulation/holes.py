@@ -133,7 +133,32 @@ HOLES = {
         "C10: limits raised by reload while armed",
     ),
     "a reload is taken while the control process starts": Hole(
-        "piezod.daemon.reload", "if not connected or ended:", "if False:", "F1: the old configuration drove",
+        "piezod.daemon.service",
+        "check_settled(connected=channel.connected, ended=channel.ended, problem=channel.problem)",
+        "if not channel.connected:\n                self._bench = bench\n                self._wake.set()\n"
+        '                return "configuration taken"',
+        "F1: the old configuration drove",
+    ),
+    "the arm of a start survives a stop": Hole(
+        "piezod.daemon.service", "        self._arm_withdrawn = True\n", "", "F3: an arm that acts after a stop",
+    ),
+    "a watchdog of before is a fault of the stop": Hole(
+        "piezod.control.supervisor", "elif status & STATUS_WATCHDOG and not self._watchdog_of_before:",
+        "elif status & STATUS_WATCHDOG and (not self._watchdog_of_before or self.state is not State.ARMING):",
+        "R1: a stop ends with 0",
+    ),
+    "removed files stay away without a device": Hole(
+        "piezod.daemon.service", "if clock.monotonic() > self._files_seen_s + FILES_INTERVAL_S:",
+        "if self._channel.connected and clock.monotonic() > self._files_seen_s + FILES_INTERVAL_S:",
+        "G4: unreachable after its files were removed",
+    ),
+    "old values are shown as good ones": Hole(
+        "piezod.recording.age", "return age_s is None or age_s > max(STALE_AFTER_S, STALE_TICKS * dt_s)",
+        "return age_s is None", "G11: values 8 s old without a word",
+    ),
+    "a kill keeps the heat of before": Hole(
+        "piezod.session.heat_file", "            self._path.unlink()\n        except", "        except",
+        "F9: heat is forgotten",
     ),
     "removed stop socket stays away": Hole(
         "piezod.daemon.stop_path", "if self._listener is None or self._listener.is_present:", "if True:",

@@ -67,7 +67,7 @@ class Process:
     def __init__(self, machine, name, parent=None):
         self.machine, self.name, self.parent = machine, name, parent
         machine.last_pid += 1
-        self.pid = machine.last_pid
+        self.pid, self.started_ns = machine.last_pid, machine.now_ns
         self.threads, self.pending = [], []
         self.handlers = {}
         self.alive, self.code, self.stopped_until_ns = True, None, 0

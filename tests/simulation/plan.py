@@ -33,6 +33,8 @@ class Plan:
     reference: str = "sine"
     wire: str = "tcp"
     recorder: bool = False
+    metrics: bool = False
+    drift: bool = False
     frequency_Hz: float = 1.0
     latency_ns: tuple = (20_000, 30_000)
     events: tuple = field(default=())
@@ -60,7 +62,8 @@ KINDS = {
     "urge": (3, _pick(("stop", "disarm"))),
     "reset": (2, lambda rng: ()),
     "status": (1, lambda rng: ()),
-    "reload": (2, lambda rng: (rng.choice((100.0, 150.0, 250.0, 360.0, 500.0)), rng.random() < 0.3)),
+    "scrape": (1, lambda rng: (rng.choice((1, 1, 40)), rng.randrange(4))),
+    "reload": (2, lambda rng: (rng.choice((50.0, 100.0, 150.0, 250.0, 360.0, 500.0)), rng.random() < 0.3)),
     "reload_broken": (1, lambda rng: (rng.choice(("", "rate_Hz: [", "limits: 3\n")), rng.random() < 0.5)),
     "strangers": (1, lambda rng: (rng.choice((1, 12, 70)), rng.randrange(4))),
     "signal_service": (1, lambda rng: (rng.choice(("SIGTERM", "SIGINT")), rng.choice((1, 1, 3)))),
@@ -86,7 +89,7 @@ KINDS = {
         rng.choice(("delay", "drop", "split", "corrupt", "reset", "noise", "duplicate")),
         rng.choice(("request", "reply")), rng.choice((1, 1, 10)), rng.choice((0.5, 2.0, 20.0)))),
     "cut": (1, lambda rng: (rng.choice((0.02, 0.2, 1.0)),)),
-    "refuse_connections": (1, lambda rng: (rng.choice((0.2, 1.0)),)),
+    "refuse_connections": (1, lambda rng: (rng.choice((0.2, 1.0, 5.0)),)),
     "stream": (3, lambda rng: (rng.choice((60.0, 120.0, 200.0, 340.0)),)),
     "stream_ends": (1, lambda rng: ()),
     "datagram": (1, lambda rng: (rng.choice((0.0, -50.0, 1e300, float("nan"), 250.0)),
@@ -100,6 +103,10 @@ KINDS = {
 }  # fmt: skip
 
 
+STARTED_S = 1.7  # from the begin of a start, or of a reload, until a control process is connected
+MEETING = ("arm", "stop", "disarm", "urge", "urge", "reset", "reload", "reload", "signal_service", "remove_files",
+           "remove_files", "kill_control", "kill_service", "pause_control", "second_service", "strangers",
+           "refuse_connections")  # fmt: skip
 ORDERLY = ("disarm", "stop", "urge", "reload", "signal_service", "kill_service", "stream", "stream_ends")
 
 
@@ -123,24 +130,61 @@ def _replies(rng, time_s, events):
 
 
 def _stopped(rng, time_s, events):
-    """A stop that overtakes the arm."""
+    """A stop that overtakes the arm, or a signal that meets it."""
+    if rng.random() < 0.3:
+        events.append(Event(time_s + rng.uniform(0.0, 0.04), "signal_service", ("SIGTERM", 1)))
+        events.append(Event(time_s + 2.0, "start"))
+        return time_s + 4.0
     events += [Event(time_s + rng.uniform(0.0, 0.004), "urge", ("stop",)), Event(time_s + 2.5, "arm")]
     return time_s + 2.6
 
 
-def _reloads(rng, time_s, events):
-    """A second reload while the control process starts with the first; then the force is above its limit."""
-    first_s = time_s - 0.1
-    events.append(Event(first_s, "reload", (rng.choice((250.0, 350.0)), False)))
-    events.append(Event(first_s + rng.uniform(0.02, 1.2), "reload", (100.0, False)))
-    events.append(Event(time_s + 3.0, "arm"))
-    return time_s + 5.0
+def _starting(rng, time_s, events):
+    """Something arrives while a control process starts: with the service, after a reload, or without a device."""
+    begin = rng.choice(("first", "reload", "reload", "again", "armed", "unreachable"))
+    if begin == "first":
+        events += _meeting(rng, 0.0)
+        return time_s + 1.5
+    if begin == "reload":  # read and taken before anything is driven
+        events[:] = [event for event in events if event.name != "arm"]
+        begun_s = time_s - 0.1
+        events.append(Event(begun_s, "reload", (rng.choice((250.0, 350.0)), rng.random() < 0.3)))
+    else:
+        killed_s, begun_s = time_s + rng.uniform(0.7, 1.5), time_s + 2.5
+        events += [Event(killed_s, "kill_all"), Event(begun_s, "start", (begin == "armed",))]
+    if begin == "unreachable":
+        events.append(Event(begun_s - 0.1, "refuse_connections", (rng.choice((1.0, 6.0)),)))
+        events.append(Event(begun_s + 7.5, "heal"))
+        time_s += 6.0
+    events += _meeting(rng, begun_s, 5.0 if begin == "unreachable" else STARTED_S)
+    if begin != "armed" or rng.random() < 0.5:
+        events.append(Event(time_s + 5.0, "arm"))
+    return time_s + 7.0
+
+
+def _meeting(rng, begun_s, within_s=STARTED_S):
+    """What meets a control process that starts at a time."""
+    events = []
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        name = rng.choice(MEETING)
+        arguments = (rng.choice((50.0, 100.0)), rng.random() < 0.3) if name == "reload" else _arguments(name, rng)
+        events.append(Event(begun_s + rng.uniform(0.02, within_s), name, arguments))
+    return events
+
+
+def _arguments(name, rng):
+    return KINDS[name][1](rng) if name in KINDS else ()
 
 
 def _removed(rng, time_s, events):
     """A file of the service is removed; then somebody may start it once more."""
     time_s += rng.uniform(0.7, 1.5)
     name = rng.choice(("ring.sock.stop", "ring.sock", "ring.lock", "locks"))
+    if rng.random() < 0.3:  # no device answers
+        events += [Event(time_s, "kill_all"), Event(time_s + 0.1, "refuse_connections", (9.0,)),
+                   Event(time_s + 0.2, "start"), Event(time_s + 2.5, "remove_files", (name,)),
+                   Event(time_s + 6.0, "heal")]  # fmt: skip
+        return time_s + 7.0
     events.append(Event(time_s, "remove_files", (name,)))
     if rng.random() < 0.5:
         events.append(Event(time_s + rng.uniform(0.0, 2.5), "second_service"))
@@ -160,7 +204,9 @@ def _late(rng, time_s, events):
         events += [Event(time_s + 1.0, "trip_amplifier"), Event(time_s + 3.0, "heal")]
         time_s += 4.5
         events.append(Event(time_s, "reset"))
-    events += [Event(time_s - 0.05, "pause_control", (for_s,)), Event(time_s + for_s + 1.5, "status")]
+    asked_s = time_s + rng.uniform(0.0, for_s)
+    asks = rng.choice((Event(asked_s, "status"), Event(asked_s, "scrape", (1, 0))))
+    events += [Event(time_s - 0.05, "pause_control", (for_s,)), asks, Event(time_s + for_s + 1.5, "status")]
     return time_s + for_s + 2.0
 
 
@@ -177,8 +223,8 @@ def _unsent(rng, time_s, events):
     return time_s + 5.5
 
 
-PROLOGUES = (_nothing, _nothing, _trip, _replies, _replies, _stopped, _reloads, _removed, _watchdog, _late, _alone,
-             _unsent)  # fmt: skip
+PROLOGUES = (_nothing, _nothing, _trip, _replies, _replies, _stopped, _starting, _starting, _removed, _watchdog, _late,
+             _alone, _unsent)  # fmt: skip
 """Begins of a history in which one thing only goes wrong."""
 
 
@@ -208,6 +254,8 @@ def draw(seed, seconds):
             events.append(Event(time_s + delay_s, rng.choice(("disarm", "stop", "stop", "arm", "heal"))))
         if rng.random() < 0.4:
             time_s += rng.uniform(0.3, 1.5)
+            if rng.random() < 0.3:
+                events += _meeting(rng, time_s + 0.5)
             events += [Event(time_s, "heal"), Event(time_s + 0.3, "reset"), Event(time_s + 0.5, "start"),
                        Event(time_s + 1.7, "arm")]  # fmt: skip
             if rng.random() < 0.2:
@@ -219,6 +267,8 @@ def draw(seed, seconds):
         rate_Hz=rng.choice((100, 200, 200, 400)),
         reference="stream" if stream else "sine",
         recorder=rng.random() < 0.3,
+        metrics=rng.random() < 0.3,
+        drift=rng.random() < 0.3,
         frequency_Hz=rng.choice((0.5, 1.0, 4.0)),
         latency_ns=(20_000, 30_000) if not slow else (60_000, 1_500_000),
         wire="rtu" if rng.random() < 0.25 else "tcp",

@@ -497,11 +497,8 @@ class Socket(socket.socket):
         if self.type is socket.SOCK_DGRAM and self.family == socket.AF_INET:
             self._address = (LOOPBACK, 9)
             return
-        if self.family == socket.AF_UNIX:
-            status = os.lstat(address)
-            listener = kernel.paths.get((status.st_dev, status.st_ino))
-            if listener is None:
-                raise ConnectionRefusedError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
+        listener = self._listener_at(address)
+        if listener is not None:
             if isinstance(listener, Queue) != (self.type is socket.SOCK_DGRAM):
                 raise OSError(errno.EPROTOTYPE, os.strerror(errno.EPROTOTYPE))
             if isinstance(listener, Queue):
@@ -523,6 +520,22 @@ class Socket(socket.socket):
         host.connect(self, self._object)
         if self._timeout_s == 0.0:
             raise BlockingIOError(errno.EINPROGRESS, os.strerror(errno.EINPROGRESS))
+
+    def _listener_at(self, address):
+        """Who listens on this machine; None for a TCP address of the network.
+
+        Raises
+        ------
+        OSError
+            There is no such path, or nobody listens there.
+        """
+        if self.family != socket.AF_UNIX:
+            return self._kernel.ports.get((self.type, address[1]))
+        status = os.lstat(address)
+        listener = self._kernel.paths.get((status.st_dev, status.st_ino))
+        if listener is None:
+            raise ConnectionRefusedError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
+        return listener
 
     def _until(self, ready, *watched):
         """Wait as long as the time limit of the socket allows."""

@@ -53,6 +53,45 @@ def test_a_device_that_restarts_at_any_time_gets_no_voltage_of_before(number):
     assert run(Plan(50329, 4.0, frequency_Hz=4.0, events=(Event(2.0, "arm"), restart))).violations == []
 
 
+@pytest.mark.parametrize("way", [("urge", ("stop",)), ("urge", ("disarm",)), ("stop",), ("disarm",)])
+@pytest.mark.parametrize("time_s", [0.5, 0.8, 0.95, 0.9644, 0.9645, 0.9646, 0.97, 1.05, 1.1])
+def test_a_stop_while_the_service_starts_withdraws_the_arm_of_its_start(time_s, way):
+    """The control process is connected at 0.9645 s and drives at 1.06 s: it must never drive for longer than a ramp."""
+    start = (Event(0.0, "kill_all"), Event(0.1, "start", (True,)))
+    result = run(Plan(1, 5.0, events=(*start, Event(time_s, *way))))
+    assert result.violations == []
+    assert not any("RUNNING" in line for line in result.log)
+
+
+@pytest.mark.parametrize("time_s", [2.0, 2.0001, 2.001, 2.005, 2.01, 2.012, 2.0145, 2.02, 2.06, 2.3])
+def test_a_signal_at_any_time_of_arming_ends_without_a_fault(time_s):
+    """The watchdog of a device at rest has tripped, and the first command clears it."""
+    result = run(Plan(1, 5.0, events=(Event(2.0, "arm"), Event(time_s, "signal_service", ("SIGTERM", 1)))))
+    assert result.violations == []
+    assert not any("FAULT" in line for line in result.log)
+
+
+@pytest.mark.parametrize("name", ["ring.sock", "ring.sock.stop", "ring.lock"])
+def test_a_removed_file_is_made_again_while_no_device_answers(name):
+    events = (Event(1.5, "kill_all"), Event(1.6, "refuse_connections", (9.0,)), Event(1.7, "start"))
+    assert run(Plan(1, 9.0, events=(*events, Event(4.0, "remove_files", (name,))))).violations == []
+
+
+@pytest.mark.parametrize(("effects", "kinds"), [((), []), (("creep",), ["drift"])])
+def test_only_a_bench_that_has_another_law_than_its_model_raises_an_alarm(effects, kinds):
+    result = run(Plan(1, 16.0, drift=True, effects=effects, events=(Event(2.0, "arm"),)))
+    assert [kind for kind, *_ in result.violations] == kinds
+
+
+def test_a_polite_client_of_the_metrics_is_told_the_state_beside_impolite_ones():
+    events = [Event(2.0, "arm"), Event(3.0, "scrape", (40, 1)), Event(3.1, "scrape", (40, 2)), Event(4.5, "stop")]
+    events += [Event(1.0 + 0.31 * n, "scrape", (1, 0)) for n in range(16)]
+    events = tuple(sorted(events, key=lambda event: event.time_s))
+    result = run(Plan(1, 7.0, metrics=True, events=events))
+    assert result.violations == []
+    assert result.observed["scraped"] >= 10
+
+
 def test_shrinking_keeps_the_events_that_matter():
     extra = tuple(Event(2.0 + 0.05 * n, "status") for n in range(1, 8))
     needed = (Event(2.0, "arm"), Event(3.0, "watchdog", (0,)), Event(3.001, "kill_all"))

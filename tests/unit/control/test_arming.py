@@ -55,6 +55,8 @@ def test_a_device_at_rest_is_ready_and_its_watchdog_is_set():
         (Rest(forces_N=(-25.0,)), BENCH, "force is -25 N at rest, must be within limits.force_min_N, -20"),
         (Rest(forces_N=(400.0,)), BENCH, "force is 400 N at rest"),
         (Rest(readback_V=2.1), BENCH, "reads back 2.1 V, must be within 2 V of 0 V"),
+        (Rest(readback_V=0.0), changed("limits", voltage_min_V=20.0), "reads back 0 V, must be within 2 V of 20 V"),
+        (Rest(readback_V=-20.0), changed("limits", voltage_min_V=20.0), "reads back -20 V, must be within 2 V of 20 V"),
         (Rest(readback_V=float("inf")), BENCH, "reads back inf V"),
         (Rest(beats=(7,)), BENCH, "heartbeat stays at 7"),
         (Rest(), changed("limits", device_watchdog_ms=0), "device_watchdog_ms is 0, must be above 0"),
@@ -64,6 +66,10 @@ def test_a_failed_precondition_is_named_and_no_voltage_is_written(device, bench,
     with pytest.raises(CheckFailedError, match=says):
         check(device, bench)
     assert device.writes == []
+
+
+def test_a_range_above_zero_begins_at_its_lower_end():
+    check(Rest(readback_V=20.5), changed("limits", voltage_min_V=20.0))
 
 
 def test_a_watchdog_that_does_not_keep_its_time_is_refused():

@@ -157,6 +157,32 @@ def test_a_watchdog_that_tripped_before_arming_counts_once_it_was_clear():
     assert supervisor.fault is Cause.DEVICE_WATCHDOG
 
 
+def test_a_stop_before_the_first_reading_is_no_fault_of_a_watchdog_that_tripped_before_arming():
+    supervisor = Supervisor(limits())
+    supervisor.arm(0)
+    supervisor.stop()
+    supervisor.check_reading(0.0, 2)
+    assert (supervisor.state, supervisor.fault) == (State.RAMP_DOWN, Cause.NONE)
+    supervisor.check_reading(0.0, 1)
+    supervisor.check_reading(0.0, 2)
+    assert supervisor.fault is Cause.DEVICE_WATCHDOG
+
+
+@pytest.mark.parametrize("way", ["running", "left output"])
+def test_a_watchdog_trips_at_once_where_a_voltage_stands_at_the_output(way):
+    supervisor = Supervisor(limits())
+    supervisor.arm(0)
+    supervisor.check_reading(0.0, 2)
+    if way == "running":
+        supervisor.start_running()
+    else:
+        supervisor.stop()
+        supervisor.end_ramp_down()
+        supervisor.bring_down(1)
+    supervisor.check_reading(10.0, 2)
+    assert supervisor.fault is Cause.DEVICE_WATCHDOG
+
+
 def test_a_device_too_hot_trips():
     supervisor = running(temperature_trip_degC=70.0)
     supervisor.check_reading(10.0, 1, 0, 69.9)
@@ -197,6 +223,8 @@ def test_an_exchange_may_last_until_the_silence_is_a_loss_and_without_limit_whil
     supervisor = running()
     supervisor.check_exchange(True, 10 * MS)
     assert supervisor.exchange_time_left_s(150 * MS) == pytest.approx(0.06)
+    assert supervisor.exchange_time_left_s(210 * MS - 1) == pytest.approx(1e-9)
+    assert supervisor.exchange_time_left_s(210 * MS) == float("inf")  # no time is left: 0 s would forbid every exchange
     assert supervisor.exchange_time_left_s(250 * MS) == float("inf")
     assert Supervisor(limits()).exchange_time_left_s(0) == float("inf")
 

@@ -114,6 +114,21 @@ def test_the_server_listens_on_the_loopback_address_and_reports_a_port_in_use():
         asyncio.run(twice())
 
 
+@pytest.mark.parametrize(("lost", "missed", "error_N"), [(False, 500, 70.0), (True, 0, 5.0)])
+def test_lost_rows_are_no_missed_ticks_and_give_no_tracking_error(lost, missed, error_N):
+    """Each reading is 5 N above the reference of the row before; the 500 ticks between the parts have no rows."""
+    statistics = TickStatistics(lambda *_: None)
+    part = rows(10, state=State.RUNNING, result=ExchangeResult.OK, force_N=105.0, reference_N=100.0)
+    statistics.add(part)
+    if lost:
+        statistics.skip_lost_rows()
+    later = rows(10, state=State.RUNNING, result=ExchangeResult.OK, force_N=170.0, reference_N=165.0)
+    later["tick"] += 510
+    statistics.add(later)
+    assert statistics.missed == missed
+    assert statistics.tracking.max_N == error_N
+
+
 def test_a_transition_is_reported_once():
     reported = []
     statistics = TickStatistics(lambda state, cause, row: reported.append((state, cause)))

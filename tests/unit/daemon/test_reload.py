@@ -30,7 +30,7 @@ class Channel:
         self.sent = []
         self.refuses = None
 
-    async def send(self, name, argument=None, *, settle_s):
+    async def send(self, name, argument=None, *, settle_s, requested_ns=None):
         self.sent.append((name, argument))
         if self.refuses is not None:
             raise self.refuses

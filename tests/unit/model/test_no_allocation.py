@@ -12,7 +12,7 @@ from piezod.control import TableReference
 from piezod.model import ExtendedCompensator, Model
 from piezod.model.compensator import InverseCompensator
 from piezod.model.parameters import Channel, Hysteresis, Provenance, Start, Superposition
-from piezod.model.unnamed_law import UnnamedLaw
+from piezod.model.unnamed_law import NAME, LawStep, UnnamedLaw
 from tests.benchmarks.extended import extended_model
 from tests.benchmarks.memory import growth, traced_bytes
 
@@ -116,6 +116,45 @@ def test_ticks_with_an_unnamed_law_allocate_no_memory_that_remains(forces_N, gai
     model = extended_model().model_copy(update={"unnamed_law": law})
     compensator = ExtendedCompensator(model, 1e-3)
     assert compensator.compensates_law
+
+    def tick(force_N):
+        compensator.commit(compensator.plan(force_N))
+
+    assert growth(tick, forces_N, 200_000 // PASS, count) == 0
+
+
+def law_with_modes():
+    """Complex modes behind tables of the command, beside a lag and a table without one."""
+    tables = 1e-2 * np.random.default_rng(1).normal(size=(6, 9))
+    modes = [
+        {"frequency_Hz": frequency_Hz, "damping_ratio": 0.05, "real": real, "imaginary": imaginary}
+        for frequency_Hz, real, imaginary in zip((20.0, 90.0), tables[2:4].tolist(), tables[4:].tolist(), strict=True)
+    ]
+    axis = {"driver": "command", "low": 0.0, "high": 140.0, "nodes": 9}
+    return UnnamedLaw.model_validate(
+        {"drivers": (axis,), "dead_band": 1.0, "smoothing_s": 0.003, "memories_s": (0.0, 0.1),
+         "tables": tables[:2].tolist(), "modes": modes}
+    )  # fmt: skip
+
+
+@pytest.mark.usefixtures("_idle_collector", "_tracing")
+@pytest.mark.parametrize("count", [sys.getallocatedblocks, traced_bytes])
+def test_steps_of_a_law_with_complex_modes_allocate_no_memory_that_remains(forces_N, count):
+    law = LawStep(law_with_modes(), 1e-3)
+
+    def step(force_N):
+        law.step(0.5 * force_N, force_N)
+
+    assert growth(step, forces_N, 200_000 // PASS, count) == 0
+    assert law.step(70.0, 140.0) != law.step(0.0, 0.0)
+
+
+@pytest.mark.usefixtures("_idle_collector", "_tracing")
+@pytest.mark.parametrize("count", [sys.getallocatedblocks, traced_bytes])
+def test_ticks_beside_a_law_with_modes_that_is_left_out_allocate_no_memory_that_remains(forces_N, count):
+    model = extended_model().model_copy(update={"unnamed_law": law_with_modes()})
+    compensator = ExtendedCompensator(model, 1e-3, without=(NAME,))
+    assert not compensator.compensates_law
 
     def tick(force_N):
         compensator.commit(compensator.plan(force_N))

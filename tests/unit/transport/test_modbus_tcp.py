@@ -250,6 +250,20 @@ def test_a_closed_link_stays_closed(tcp):
     assert link.poll() is ExchangeResult.DISCONNECTED
 
 
+def test_a_second_open_ends_the_first_connection_before_it_connects():
+    """A device for one client refuses the second connection while the first one is there."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        link = make_link(tcp_config(server.getsockname()[1]))
+        link.open()
+        connection, _ = server.accept()
+    connection.settimeout(2.0)
+    with connection:
+        with pytest.raises(UnreachableError, match="refused the connection"):
+            link.open()
+        assert connection.recv(1) == b""  # not a time-out: the first one has ended
+        assert link.exchange(1.0) is ExchangeResult.DISCONNECTED
+
+
 def test_plain_modbus_to_a_name_with_a_routable_address_is_refused(monkeypatch):
     found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("8.8.8.8", 502))]
     monkeypatch.setattr(sockets, "getaddrinfo", lambda *_, **__: found)
