@@ -83,6 +83,31 @@ def test_a_model_with_effects_matches_a_bench_on_which_nothing_has_changed(bench
     assert model == load_model(bench / "model.yaml")
 
 
+def test_without_older_recordings_a_changed_effect_leaves_the_hysteresis_as_it_is(bench, tmp_path):
+    given = without_older_recordings(load_model(bench / "model.yaml"))
+    save_model(given, tmp_path / "model.yaml")
+    record(tmp_path / "later.csv", work(4), 5, **{**OLD, "creep_per_decade": 0.02})
+    findings = diagnosed(tmp_path, tmp_path / "model.yaml", "later", tmp_path / "out")
+    assert names(findings["effects"]) == {"creep": "changed"}
+    assert findings["verdict"] == "explained"
+    assert load_model(tmp_path / "out" / "model.yaml").hysteresis == given.hysteresis
+
+
+def test_without_older_recordings_a_changed_gain_scales_the_hysteresis(bench, tmp_path):
+    given = without_older_recordings(load_model(bench / "model.yaml"))
+    save_model(given, tmp_path / "model.yaml")
+    record(tmp_path / "later.csv", work(4), 5, **OLD, gain=1.04)
+    findings = diagnosed(tmp_path, tmp_path / "model.yaml", "later", tmp_path / "out")
+    assert findings["base"]["status"] == "changed"
+    drive_V = triangles([100, 40, 80])
+    before, after = (
+        model.hysteresis.operator().run(drive_V) for model in (given, load_model(tmp_path / "out" / "model.yaml"))
+    )
+    slope = np.polyfit(before, after, 1)[0]
+    assert slope == pytest.approx(1.04, rel=5e-3)
+    assert np.std(after - slope * before) < 2e-3 * np.ptp(after)  # the same loops
+
+
 def test_the_errors_of_a_long_recording_are_of_all_its_samples(bench, tmp_path, monkeypatch):
     monkeypatch.setattr(preparation, "MOST_SAMPLES", 4000)
     findings, _ = later(bench, tmp_path)
