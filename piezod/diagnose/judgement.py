@@ -177,7 +177,7 @@ class DiagnosisInputs:
         least = max(after, rms) if runs else before
         untested = untestable(chain, result.hypothesis.terms, result.hypothesis.point)
         verdict, effects = self._verdict(effects, base, remainder, (before, after, least), span, untested)
-        chain.forget()  # what follows needs memory too
+        chain.forget()  # localisation needs memory too
         own = own_sizes(coarse(self._as_known(chain)), result.hypothesis, result.given)
         base = replace(base, measured=own_base(self.model, own))
         unchanged = [one.with_measured(own.get(one.name), EFFECTS[one.name].size.name) for one in unchanged]
