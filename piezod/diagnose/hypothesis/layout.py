@@ -111,8 +111,9 @@ def scaled(parameter: Parameter, value: float) -> float:
 
 def unscaled(parameter: Parameter, value: float) -> float:
     """Inverse of `scaled`, inside the range of the parameter."""
-    plain = np.exp(value) if parameter.search.logarithmic else value
-    return float(np.clip(plain, parameter.low, parameter.high))
+    if parameter.search.logarithmic:  # a linear step may lead so far that the exponential overflows
+        value = float(np.exp(np.clip(value, np.log(parameter.low), np.log(parameter.high))))
+    return float(np.clip(value, parameter.low, parameter.high))
 
 
 def step_of(parameter: Parameter, value: float) -> float:

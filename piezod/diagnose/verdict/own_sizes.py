@@ -26,6 +26,8 @@ HALF_95 = 1.96  # half of a 95 % interval [standard errors]
 def own_sizes(chain: Chain, fitted: Fitted, given: Collection[str]) -> dict[str, Value]:
     """Size of each given effect, and the factors `gain` and `loops` of the stack, by name, with 95 % intervals.
 
+    A size whose linear step leaves the range of the parameter is omitted.
+
     Parameters
     ----------
     chain
@@ -56,24 +58,24 @@ def own_sizes(chain: Chain, fitted: Fitted, given: Collection[str]) -> dict[str,
     now = [scaled(parameter, values[term][parameter.name]) for _, term, parameter in sizes]
     form = [FORM_ERROR * (1.0 if p.search.logarithmic else abs(x)) for (_, _, p), x in zip(sizes, now, strict=True)]
     half = HALF_95 * np.sqrt(np.diag(covariance(moves, np.array(form))))
-    return {
-        terms[term].effect.name: Value(
-            unscaled(parameter, x + float(step[place])),
-            parameter.unit,
-            unscaled(parameter, x + float(step[place]) - width),
-            unscaled(parameter, x + float(step[place]) + width),
-        )
-        for (place, term, parameter), x, width in zip(sizes, now, half.tolist(), strict=True)
-    }
+    own = {}
+    for (place, term, parameter), x, width in zip(sizes, now, half.tolist(), strict=True):
+        ends = (x + float(step[place]) + away for away in (0.0, -width, width))
+        value, low, high = (unscaled(parameter, end) for end in ends)
+        if parameter.low < value < parameter.high:
+            own[terms[term].effect.name] = Value(value, parameter.unit, low, high)
+    return own
 
 
 def own_base(model: Model, own: Mapping[str, Value]) -> dict[str, Value]:
     """Gain and loop width of the stack, as in `BaseFigures`, from the factors that `own_sizes` returns."""
     figures = base_figures(model.hysteresis, model.input.low, model.input.high)
-    gain, loops = own[GAIN.name], own[LOOPS.name]
+    gain_unit = f"{model.output.unit}/{model.input.unit}"
+    known = {"gain": (GAIN, figures.gain, gain_unit), "loop_width_percent": (LOOPS, figures.loop_width_percent, "%")}
     return {
-        "gain": _times(gain, figures.gain, f"{model.output.unit}/{model.input.unit}"),
-        "loop_width_percent": _times(loops, figures.loop_width_percent, "%"),
+        name: _times(own[factor.name], figure, unit)
+        for name, (factor, figure, unit) in known.items()
+        if factor.name in own
     }
 
 
