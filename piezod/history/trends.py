@@ -3,7 +3,7 @@
 A diagnosis changes a value only where its recording excludes the old one. Many recordings together show a smaller
 change. The test of Mann (1945) and Kendall (1975) compares their order and assumes no distribution. Their line has the
 median slope of all pairs (Theil 1950, Sen 1968). R. O. Gilbert (1987), Statistical Methods for Environmental Pollution
-Monitoring, chapter 16. Recordings within an hour share what drifts for hours, which counts as a change too.
+Monitoring, chapter 16. Recordings of one hour share its drifts, and these count as changes.
 """
 
 import importlib

@@ -3,6 +3,7 @@
 import numpy as np
 
 from piezod.arrays import Array
+from piezod.effects.parameter import Parameter
 
 INTERVAL_FACTOR, FORM_ERROR = 2.0, 0.015
 """Factor on the errors that left-out blocks give, and relative error of the effect's form, added in squares.
@@ -24,3 +25,8 @@ def covariance(moves: Array, form_errors: Array) -> Array:
     spread = (blocks - 1) / blocks * away.T @ away
     result: Array = INTERVAL_FACTOR**2 * spread + np.diag(form_errors**2)
     return result
+
+
+def form_error(parameter: Parameter, value: float) -> float:
+    """Error by the form of the effect, on the scale that is fitted."""
+    return FORM_ERROR * (1.0 if parameter.search.logarithmic else abs(value))

@@ -16,7 +16,7 @@ from piezod.arrays import Array
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal
 from piezod.diagnose.hypothesis.layout import scaled, unscaled
-from piezod.diagnose.hypothesis.left_out import FORM_ERROR, covariance
+from piezod.diagnose.hypothesis.left_out import covariance, form_error
 from piezod.diagnose.hypothesis.systematic import systematic_errors
 from piezod.effects.parameter import Parameter
 from piezod.model.information import Information, marginal
@@ -73,7 +73,7 @@ def joint_estimate(
     searched = [pair for pair, is_seen in zip(searched, seen, strict=True) if is_seen]
     before = covariance_of(information[np.ix_(seen, seen)])
     moves = normal.left_out_moves()[:, [place for place, _ in searched]]
-    since = covariance(moves, np.array([_form_error(parameter, given[parameter.name]) for _, parameter in searched]))
+    since = covariance(moves, np.array([form_error(parameter, given[parameter.name]) for _, parameter in searched]))
     place = next(k for k, term in enumerate(changed.terms) if term.effect.name == name)
     values = changed.point.values[place]
     old = np.array([scaled(parameter, given[parameter.name]) for _, parameter in searched])
@@ -130,11 +130,6 @@ def agreeing(estimates: Mapping[str, JointEstimate], count: int) -> dict[str, Jo
 def _scale(parameter: Parameter, value: float) -> float:
     """Change of a value with its place on the scale that is fitted."""
     return value if parameter.search.logarithmic else 1.0
-
-
-def _form_error(parameter: Parameter, value: float) -> float:
-    """Error of the effect's form, on the scale that is fitted."""
-    return FORM_ERROR * (1.0 if parameter.search.logarithmic else abs(value))
 
 
 def _by_name(parameters: Sequence[Parameter], vector: Array) -> dict[str, float]:

@@ -14,7 +14,7 @@ from piezod.diagnose.findings import Value
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal
 from piezod.diagnose.hypothesis.layout import scaled, unscaled
-from piezod.diagnose.hypothesis.left_out import FORM_ERROR, covariance
+from piezod.diagnose.hypothesis.left_out import covariance, form_error
 from piezod.diagnose.hypothesis.stack_change import GAIN, LOOPS
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.model import Model
@@ -56,8 +56,8 @@ def own_sizes(chain: Chain, fitted: Fitted, given: Collection[str]) -> dict[str,
     held[places] = np.nan
     step, moves = normal.step(0.0, held), normal.left_out_moves(held)[:, places]
     now = [scaled(parameter, values[term][parameter.name]) for _, term, parameter in sizes]
-    form = [FORM_ERROR * (1.0 if p.search.logarithmic else abs(x)) for (_, _, p), x in zip(sizes, now, strict=True)]
-    half = HALF_95 * np.sqrt(np.diag(covariance(moves, np.array(form))))
+    form = np.array([form_error(parameter, values[term][parameter.name]) for _, term, parameter in sizes])
+    half = HALF_95 * np.sqrt(np.diag(covariance(moves, form)))
     own = {}
     for (place, term, parameter), x, width in zip(sizes, now, half.tolist(), strict=True):
         ends = (x + float(step[place]) + away for away in (0.0, -width, width))
