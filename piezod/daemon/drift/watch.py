@@ -22,15 +22,17 @@ from piezod.daemon.drift.files import BlocksFile, drift_file
 from piezod.daemon.drift.law_test import BlockResult, LawTest, Tested
 from piezod.daemon.drift.reference import FIRST_STRETCH, BlockReference
 from piezod.daemon.expected_rows import ExpectedRows
+from piezod.daemon.newest_writer import NewestWriter
 from piezod.model import Model
 from piezod.recording import HELD_ONE_SAMPLE, Recording
 from piezod.recording.ticks import GOOD, pair_rows
-from piezod.runtime import clock, threads
+from piezod.runtime import clock
 from piezod.session.history import is_tracking
 
 LIMIT_IN_MODEL_ERRORS = 3.0  # default limit, as a multiple of the held-out rms error of the model
 LIMIT_IN_RANGES = 0.01  # default limit as a part of the force range, for a model without a held-out error
 DAY_S = 86400.0
+CLOSE_WITHIN_S = 10.0  # longest time that the end of a session waits for the disk [s]
 SAVED_EVERY = 360  # windows after which the reference is written: an hour of windows of 10 s
 
 
@@ -93,7 +95,7 @@ class DriftWatch:
         self._first_N: float | None = None
         self.corrected_N = self.rms_N = self.offset_N = nan
         self.drifted = False
-        self._writing: threads.Thread | None = None
+        self._writer = NewestWriter()
         self.problem = ""
 
     def warm_up(self) -> None:
@@ -117,6 +119,7 @@ class DriftWatch:
             temperature_C = float(shown.readings["temperature_C"].mean())
             for block in self._sums.add(difference_N, shown.commands["voltage_V"][tracking], temperature_C):
                 self._add_block(block)
+        self._forget()  # last: an alarm of a batch that ends DISARMED still writes its rows
 
     def corrected(self) -> float | None:
         """Force behind the last reading [N]; None before the first."""
@@ -141,13 +144,14 @@ class DriftWatch:
         }
 
     def close(self) -> None:
-        """Write the known windows, and the ticks of a bench that has drifted; wait for the files."""
+        """Write the known windows, and the ticks of a bench that has drifted; wait `CLOSE_WITHIN_S` for the disk."""
         if self.windows:
             self._save_blocks()
         if self.drifted and not self._complete:
             self._write()
-        if self._writing is not None:
-            self._writing.join()
+        if not self._writer.flush(CLOSE_WITHIN_S):
+            self.problem = f"{self.path}: not written within {CLOSE_WITHIN_S:g} s; check its disk"
+            self._log(f"drift: {self.problem}")
 
     def _add_block(self, block: Block) -> None:
         """Test a complete window; after a drift only its figures are shown."""
@@ -193,15 +197,12 @@ class DriftWatch:
             )
 
     def _save_blocks(self) -> None:
-        """Write the known windows, in a thread; a previous write is finished first."""
+        """Write the known windows, in a thread."""
         rows = self._blocks_file.rows_of(self.test.reference)
-        if self._writing is not None:
-            self._writing.join()
-        self._writing = threads.Thread(target=self._blocks_file.write, args=(rows,), daemon=True)
-        self._writing.start()
+        self._writer.write("blocks", lambda: self._blocks_file.write(rows))
 
     def _collect(self, rows: NDArray[np.void]) -> None:
-        """Collect the rows since the last arming; beyond `drift.keep_s` the oldest are removed."""
+        """Collect the rows since the last arming."""
         before, self._state = np.append(self._state, rows["state"][:-1]), int(rows["state"][-1])
         if self._complete:
             return
@@ -212,6 +213,11 @@ class DriftWatch:
         if armed.size or self._armed_rows:
             self._armed_rows.append(rows)
             self._row_count += int(rows.size)
+
+    def _forget(self) -> None:
+        """End the recording of a drift at rest or at `drift.keep_s`; else remove what is older than that."""
+        if self._complete:
+            return
         if self.drifted and (self._row_count > self._max_rows or self._state == State.DISARMED):
             self._write()
             self._complete = True
@@ -221,17 +227,18 @@ class DriftWatch:
             self._row_count -= int(self._armed_rows.pop(0).size)
 
     def _write(self) -> None:
-        """Write the collected rows in a thread; a previous write is finished first."""
-        if self._writing is not None:
-            self._writing.join()
-        rows = np.concatenate(self._armed_rows)
-        self._writing = threads.Thread(target=self._write_rows, args=(rows,), daemon=True)
-        self._writing.start()
+        """Write the collected rows, in a thread."""
+        if self._armed_rows:
+            rows = np.concatenate(self._armed_rows)
+            self._writer.write("drift", lambda: self._write_rows(rows))
 
     def _write_rows(self, rows: NDArray[np.void]) -> None:
         commands, readings = pair_rows(rows)
         good = readings["result"] == GOOD
         commands, readings = commands[good], readings[good]
+        if not readings.size:
+            self.problem = f"{self.path}: no good reading since the last arming; not written"
+            return
         columns = {"voltage_V": commands["voltage_V"], "force_N": readings["force_N"]}
         if np.isfinite(readings["temperature_C"]).all():
             columns["temperature_C"] = readings["temperature_C"]

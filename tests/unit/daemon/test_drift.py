@@ -1,5 +1,6 @@
 """Drift: windows are compared with the limit, then with known ones; a recording of bounded size."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -179,3 +180,44 @@ def test_the_default_limit_is_three_times_the_held_out_error_of_the_model(model,
         }
     )
     assert DriftWatch(bench, own, logged.append).limit_N == pytest.approx(0.6)
+
+
+def test_an_alarm_in_the_batch_that_ends_disarmed_writes_the_ticks_of_that_drive(watch, model, logged):
+    """The rows of a whole drive come at once, as after a pause of the daemon: armed, changed, at rest again."""
+    rows = rows_of(model, 15.0, lambda t: 3.0 if t > 2.5 else 0.0)
+    rows["state"][-20:] = State.DISARMED
+    watch.add(rows)
+    watch.close()
+    assert watch.drifted
+    assert watch.problem == ""
+    assert read_csv(watch.path).time_s.size > 10.0 * RATE_HZ
+
+
+@pytest.mark.parametrize("last", [State.DISARMED, State.FAULT, State.RUNNING])
+@pytest.mark.parametrize("pieces", [1, 3, 100_000])
+def test_an_alarm_ends_in_a_file_however_the_rows_are_cut_and_whatever_their_last_state_is(watch, model, last, pieces):
+    rows = rows_of(model, 15.0, lambda t: 3.0 if t > 2.5 else 0.0)
+    rows["state"][-20:] = last
+    add_in_pieces(watch, rows, size=max(1, rows.size // pieces))
+    watch.close()
+    assert watch.drifted
+    assert watch.path.is_file()
+
+
+def test_a_disk_that_stands_delays_no_window(watch, model, monkeypatch):
+    """The first write stands until the end of the test; windows and alarm go on, and the newest content follows."""
+    goes_on, written = threading.Event(), []
+
+    def write(_, rows):
+        goes_on.wait(30.0)
+        written.append(rows)
+
+    monkeypatch.setattr("piezod.daemon.drift.watch.SAVED_EVERY", 1)
+    monkeypatch.setattr("piezod.daemon.drift.files.BlocksFile.write", write)
+    add_in_pieces(watch, rows_of(model, 12.0))
+    assert watch.windows == 5
+    assert written == []
+    goes_on.set()
+    watch.close()
+    assert len(written) == 2  # the one that stood, and the newest of those that waited
+    assert len(written[1]) >= len(written[0])
