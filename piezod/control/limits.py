@@ -20,6 +20,8 @@ class Limiter:
 
     Attributes
     ----------
+    at_once
+        Whether the acceleration limit is ignored: a stop or a fault moves the output.
     lowest_sent_V, highest_sent_V
         Range of the voltages that the device may have in force [V].
     """
@@ -34,6 +36,7 @@ class Limiter:
         "_low_V",
         "_rise_V",
         "_step_V",
+        "at_once",
         "highest_sent_V",
         "lowest_sent_V",
     )
@@ -41,6 +44,7 @@ class Limiter:
     def __init__(self, limits: LimitsConfig, dt_s: float) -> None:
         self._dt_s = dt_s
         self._last_change_V = 0.0
+        self.at_once = False
         self.set_limits(limits)
         self.applied_V = limits.voltage_safe_V
 
@@ -92,7 +96,7 @@ class Limiter:
             Time since the last command [ticks], 0 to 1.
         """
         voltage_V = self.nearest(planned_V if isfinite(planned_V) else self._applied_V)
-        if self._acceleration_V != inf:
+        if self._acceleration_V != inf and not self.at_once:
             voltage_V = self._accelerated(voltage_V)
         low = self.highest_sent_V - min(change_V, self._fall_V) * share
         high = self.lowest_sent_V + min(change_V, self._rise_V) * share

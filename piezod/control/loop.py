@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from math import inf, isfinite, isnan, nan
 
 from piezod.config import LimitsConfig, SignCheckConfig
+from piezod.control.authority import AUTHORITY, Demand
 from piezod.control.device_guard import DeviceGuard
 from piezod.control.limits import Limiter
 from piezod.control.phase_times import PhaseTimes
@@ -319,7 +320,9 @@ class ControlLoop:
             if result is ExchangeResult.ECHO_MISMATCH:  # it stays in the device; one report is enough
                 link.accept_foreign_command()
             return result
-        result = self._writer.write(planned_V, begun_ns, self._largest_change_V())
+        demand = supervisor.demand
+        self.limiter.at_once = AUTHORITY[demand].at_once
+        result = self._writer.write(planned_V, begun_ns, self._largest_change_V(demand))
         failed = self._writer.output_uncertain or supervisor.fault is Cause.CONTROLLER
         if segment is not None and not failed:
             segment.compensator.commit(link.written_V)
@@ -327,12 +330,12 @@ class ControlLoop:
                 segment.update_temperature(link.reading.temperature_C)
         return result
 
-    def _largest_change_V(self) -> float:
+    def _largest_change_V(self, demand: Demand) -> float:
         """Largest change in this tick [V]; infinite where only the slew limits it."""
-        supervisor = self.supervisor
-        if supervisor.force_suspect or (supervisor.state is State.RAMP_DOWN and not supervisor.fast_ramp):
-            return self._ramp_V
-        return self._planner.largest_change_V
+        motion = AUTHORITY[demand]
+        if motion.at_slew:
+            return inf
+        return self._ramp_V if motion.to_safe else self._planner.largest_change_V
 
     def _check(self, result: int, planned_V: float, now_ns: int) -> None:
         """Check the exchange and its reading against every limit."""

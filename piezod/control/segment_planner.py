@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, inf, isnan, nan
 
+from piezod.control.authority import AUTHORITY
 from piezod.control.limits import Limiter
 from piezod.control.references import Freshness, Reference, TableReference
 from piezod.control.sign_check import SignCheck
@@ -150,8 +151,7 @@ class SegmentPlanner:
         self.expected_force_N = nan
         # The event is an attribute: a returned pair (voltage, event) would be a new container in every tick.
         self.event = Cause.NONE
-        ramps_down = not supervisor.driving or supervisor.state is State.RAMP_DOWN or supervisor.force_suspect
-        if segment is None or ramps_down:
+        if segment is None or not supervisor.driving or AUTHORITY[supervisor.demand].to_safe:
             self._receive(now_ns)
             return safe_V
         if supervisor.readings_stale:

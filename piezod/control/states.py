@@ -108,3 +108,6 @@ CAUSE_TEXT = {
 
 DEVICE_HAS_TAKEN_OVER = frozenset({Cause.DEVICE_WATCHDOG, Cause.DEVICE_RESTARTED, Cause.WRONG_DEVICE})
 """Causes after which no voltage is written: the device drives its output by itself, or it is another device."""
+
+DANGERS = frozenset({Cause.OVER_FORCE, Cause.FORCE_RATE})
+"""Causes after which the output moves at the slew limit. A force below its minimum is none: haste would add tension."""

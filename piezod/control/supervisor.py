@@ -10,6 +10,7 @@ output by itself (its watchdog tripped, it restarted) leads straight to FAULT: a
 from math import ceil, inf, nan
 
 from piezod.config import LimitsConfig
+from piezod.control.authority import Demand
 from piezod.control.heat_interlock import HeatInterlock
 from piezod.control.interlocks import (
     DeviceInterlock,
@@ -20,7 +21,7 @@ from piezod.control.interlocks import (
     TrackingInterlock,
 )
 from piezod.control.leaky_count import WRONG, CountedInterlock, LeakyCount, cells_of
-from piezod.control.states import CAUSE_TEXT, DEVICE_HAS_TAKEN_OVER, Cause, State
+from piezod.control.states import CAUSE_TEXT, DANGERS, DEVICE_HAS_TAKEN_OVER, Cause, State
 from piezod.transport import Reading
 from piezod.transport.status import STATUS_FAULTS, STATUS_MAINS_LOST, STATUS_OVER_TEMPERATURE, STATUS_WATCHDOG
 
@@ -79,6 +80,7 @@ class Supervisor:
         full_ramp_s = (limits.voltage_max_V - limits.voltage_min_V) / limits.ramp_down_V_per_s
         self._give_up_ns = self._comm_loss_ns + round(full_ramp_s * 1e9)
         self._arming_timeout_ns = round(limits.arming_timeout_s * 1e9)
+        self._dangers = DANGERS | {Cause.COMM_LOSS} if limits.comm_loss_action == "zero" else DANGERS
         self._holds_on_comm_loss = limits.comm_loss_action == "hold"
         self._watchdog_ns = round(limits.device_watchdog_ms * 1e6)
         self._most_missed = limits.missed_ticks_in_a_row
@@ -123,11 +125,17 @@ class Supervisor:
         return self.state in _FOLLOWING or self.state is State.RAMP_DOWN
 
     @property
-    def fast_ramp(self) -> bool:
-        """Whether the ramp down is as fast as the slew limit allows."""
-        if self._fast_stop or self.amplifier_tripped:
-            return True
-        return self._fault is Cause.COMM_LOSS and self._limits.comm_loss_action == "zero"
+    def demand(self) -> Demand:
+        """Demand with the most authority in this tick."""
+        if self.state is State.RAMP_DOWN:
+            if self._fast_stop:
+                return Demand.STOP
+            if self.amplifier_tripped or self._fault in self._dangers:
+                return Demand.DANGER
+            if self._fault is not Cause.NONE:
+                return Demand.FAULT
+            return Demand.SUSPECT if self._force.suspect else Demand.DISARM
+        return Demand.SUSPECT if self._force.suspect else Demand.REFERENCE
 
     @property
     def force_suspect(self) -> bool:

@@ -2,6 +2,7 @@
 
 import pytest
 
+from piezod.control.authority import Demand
 from piezod.control.supervisor import Cause, State, Supervisor
 from tests.unit.control.test_limits import limits
 
@@ -66,7 +67,7 @@ def test_comm_loss_action_zero_ramps_as_fast_as_the_slew_allows():
     supervisor = running(comm_loss_action="zero")
     supervisor.check_exchange(False, 201 * MS)
     assert supervisor.state is State.RAMP_DOWN
-    assert supervisor.fast_ramp
+    assert supervisor.demand is Demand.DANGER
 
 
 def test_a_stop_ends_disarmed_without_a_fault():
@@ -95,7 +96,7 @@ def test_amplifier_fault_bits_and_a_tripped_watchdog_trip():
         supervisor = running()
         supervisor.check_reading(10.0, status)
         assert supervisor.cause is cause
-        assert supervisor.fast_ramp is (cause is not Cause.DEVICE_WATCHDOG)
+        assert (supervisor.demand is Demand.DANGER) is (cause is not Cause.DEVICE_WATCHDOG)
 
 
 def test_no_reading_trips_while_no_voltage_is_written():

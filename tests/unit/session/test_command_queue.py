@@ -8,6 +8,7 @@ import pytest
 from piezod.commissioning.shipped_files import shipped
 from piezod.config import load_bench
 from piezod.control import Cause, ControlLoop, RingLog, Segment, State, TableReference
+from piezod.control.authority import Demand
 from piezod.errors import CheckFailedError
 from piezod.model import DirectDrive
 from piezod.session import command_queue
@@ -70,7 +71,7 @@ def test_a_late_arm_is_refused_and_a_late_stop_is_executed(bench):
     command("arm")
     assert command("stop", age_s=600.0)[1][1] == "ok"
     assert loop.supervisor.state is State.RAMP_DOWN
-    assert loop.supervisor.fast_ramp
+    assert loop.supervisor.demand is Demand.STOP
 
 
 def test_an_arm_whose_checks_last_too_long_is_refused_after_them(bench, monkeypatch):
