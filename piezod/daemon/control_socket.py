@@ -97,6 +97,11 @@ class ControlSocket:
             raise ConfigurationError(f"daemon.socket: {path} cannot be bound: {error.strerror or error}") from error
         self._listener = listener
 
+    @property
+    def is_present(self) -> bool:
+        """Whether a client finds the socket at its path."""
+        return self._listener is not None and self._listener.is_present
+
     async def restore(self) -> bool:
         """Listen again if somebody has removed the socket; whether that was so. Clients stay connected.
 

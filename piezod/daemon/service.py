@@ -30,7 +30,7 @@ from piezod.daemon.status import reference_values, status_dict
 from piezod.daemon.stop_path import COMMANDS as URGENT
 from piezod.daemon.stop_path import StopPath
 from piezod.daemon.systemd import Notifier
-from piezod.errors import PiezodError, TemporaryError
+from piezod.errors import ConfigurationError, PiezodError, TemporaryError
 from piezod.recorder.watch import RecorderWatch
 from piezod.runtime import clock, signals
 from piezod.session.assembly import correction_size
@@ -45,6 +45,9 @@ READY_WITHIN_S = 30.0
 """Time for the first tick [s]. Afterwards a control process without ticks counts as hung, and systemd restarts it."""
 FILES_INTERVAL_S = 0.5
 """Time between two looks at lock, sockets and ring log [s]: what is removed is noticed within a second."""
+UNSTOPPABLE_S = 1.0
+"""Time without a socket for a stop, from its discovery, after which the bench ramps down [s]; two seconds in all."""
+DRIVING = (State.ARMING, State.RUNNING)
 ENDING = (signal.SIGTERM, signal.SIGINT)
 COMMANDS = ("status", "log", "arm", "disarm", "stop", "reset", "reload")  # commands of the socket
 
@@ -89,6 +92,7 @@ class Service:
         self._arm_withdrawn = False
         self._files_problem = ""
         self._files_seen_s = 0.0
+        self._stoppable_s = self._begun_s
         self._stops_requested = 0
         self.outcome = Outcome()
         self.statistics = TickStatistics(self._log_transition)
@@ -172,27 +176,33 @@ class Service:
             loop.call_soon_threadsafe(self._wake.set)
 
     async def _run_sessions(self) -> None:
-        """Run sessions; start again after a failed start and after a reload."""
-        attempt, again = 0, True
+        """Run sessions; start again after a failed start and after a reload.
+
+        A wrong file ends the first start only: later a program may be writing it, and the daemon waits.
+        """
+        attempt, again, is_first = 0, True, True
         while again and not self._stops_requested:
-            again = False
-            session = self._channel.session or self._launch()
+            again, session = False, self._channel.session
             try:
+                session = session or self._launch()
                 await self._run_session(session)
                 attempt = 0
-            except TemporaryError as error:
-                if self._arm or self._channel.connected:
+            except PiezodError as error:
+                is_half_written = isinstance(error, ConfigurationError) and not is_first
+                if self._arm or self._channel.connected or not (isinstance(error, TemporaryError) or is_half_written):
                     raise
                 await self._wait_to_retry(error, RETRY_S[min(attempt, len(RETRY_S) - 1)])
                 attempt, again = attempt + 1, True
             finally:
                 self._channel.close()
-                session.close()
+                if session is not None:
+                    session.close()
+            is_first = False
             again = again or self._next is not None
 
     def _launch(self) -> Session:
         """Start a control process with the configuration that a reload has set, or with the present one."""
-        bench, self._next = self._next or self._bench, None
+        bench = self._next or self._bench
         folder = self._path.parent
         session = Session(
             bench,
@@ -205,11 +215,11 @@ class Service:
             correction_size=correction_size(bench, folder),
         )
         session.launch()
-        self._bench, self._files = bench, ""
+        self._bench, self._next, self._files = bench, None, ""
         self._launched.set()
         return session
 
-    async def _wait_to_retry(self, error: TemporaryError, pause_s: float) -> None:
+    async def _wait_to_retry(self, error: PiezodError, pause_s: float) -> None:
         """Wait, disarmed. No control process ticks now, so the daemon itself feeds the watchdog of systemd."""
         if self._channel.problem != str(error):
             log_line(f"{error}; trying again")
@@ -318,32 +328,59 @@ class Service:
             await self._restore_files(session)
 
     async def _restore_files(self, session: Session | None) -> None:
-        """Make lock, sockets and ring log again if somebody has removed them; end if another program has the bench."""
-        try:
-            if not self._lock.restore():
-                log_line(f"{self._bench.name}: its lock was removed, and another program has taken it; ramping down")
-                self._stops_requested += 1
-                self._wake.set()
-                if session is not None:
-                    session.stop()
-                return
-            made = ["socket"] if await self._control_socket.restore() else []
-            made += ["stop socket"] if self._stop_path.restore() else []
-            if session is not None and session.ring_log_is_broken:
-                await self._command("ring log")
-                session.open_ring_log()
-                self.statistics.skip_lost_rows()
-                if self._recorder is not None:
-                    self._recorder.follow(self._bench.ring_log_path)
-                made.append("ring log")
-        except PiezodError as error:
-            if str(error) != self._files_problem:
-                log_line(f"a file of the daemon was removed and cannot be made again: {error}")
-            self._files_problem = str(error)
-            return
-        self._files_problem = ""
+        """Make lock, sockets and ring log again if somebody has removed them. No step prevents another one."""
+        made, problems = [], []
+        for name, restore in (
+            ("lock", self._restore_lock),
+            ("socket", self._restore_control_socket),
+            ("stop socket", self._restore_stop_path),
+            ("ring log", self._restore_ring_log),
+        ):
+            try:
+                made += [name] if await restore(session) else []
+            except PiezodError as error:
+                problems.append(str(error))
+        problem = "; ".join(problems)
+        if problem and problem != self._files_problem:
+            log_line(f"a file of the daemon was removed and cannot be made again: {problem}")
+        self._files_problem = problem
         if made:
             log_line(f"somebody has removed the {', the '.join(made)} of the daemon; made again")
+
+    async def _restore_lock(self, session: Session | None) -> bool:
+        """Lock again; end if another program has the bench."""
+        if not self._lock.restore():
+            log_line(f"{self._bench.name}: its lock was removed, and another program has taken it; ramping down")
+            self._stops_requested += 1
+            self._wake.set()
+            if session is not None:
+                session.stop()
+        return False
+
+    async def _restore_control_socket(self, _: Session | None) -> bool:
+        return await self._control_socket.restore()
+
+    async def _restore_stop_path(self, _: Session | None) -> bool:
+        """Listen for a stop again; ramp down, and again if armed, while nobody can stop the bench."""
+        try:
+            return self._stop_path.restore()
+        finally:
+            if self._stop_path.is_present or self._control_socket.is_present:
+                self._stoppable_s = clock.monotonic()
+            elif clock.monotonic() > self._stoppable_s + UNSTOPPABLE_S and self.statistics.state in DRIVING:
+                log_line(f"{self._bench.name}: no socket can be made on which a stop would come; ramping down")
+                self._urge("disarm")
+
+    async def _restore_ring_log(self, session: Session | None) -> bool:
+        """Let the control process make the ring log again, and read that one."""
+        if session is None or not session.ring_log_is_broken:
+            return False
+        await self._command("ring log")
+        session.open_ring_log()
+        self.statistics.skip_lost_rows()
+        if self._recorder is not None:
+            self._recorder.follow(self._bench.ring_log_path)
+        return True
 
     def _read_rows(self, session: Session) -> bool:
         """Evaluate the new rows of the ring log; return whether there were any."""

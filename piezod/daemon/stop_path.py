@@ -75,6 +75,11 @@ class StopPath:
         listener.socket.listen(BACKLOG)
         return listener
 
+    @property
+    def is_present(self) -> bool:
+        """Whether a client finds the socket at its path."""
+        return self._listener is not None and self._listener.is_present
+
     def restore(self) -> bool:
         """Listen again if somebody has removed the socket; whether that was so.
 

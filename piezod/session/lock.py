@@ -19,7 +19,7 @@ from typing import Any
 
 from piezod.config import BenchConfig
 from piezod.config.run_time_files import NO_SPACE
-from piezod.errors import BusyError, ConfigurationError, TemporaryError
+from piezod.errors import BusyError, ConfigurationError, PiezodError, TemporaryError
 from piezod.runtime import clock, descriptors, processes
 from piezod.session.device_names import device_names
 
@@ -91,14 +91,22 @@ class BenchLock:
         ConfigurationError, TemporaryError
             A file cannot be made.
         """
+        failed: PiezodError | None = None
         for path in self._own:
             if not _is_at(self._held[path], path):
                 former = self._held[path]
                 try:
+                    if path.parent.parent == DEVICE_LOCKS:
+                        _own_folder()
                     self._acquire(path, "bench", clock.monotonic())
                 except BusyError:
                     return False
-                descriptors.close(former)
+                except PiezodError as error:  # the other locks are tried all the same
+                    failed = error
+                else:
+                    descriptors.close(former)
+        if failed is not None:
+            raise failed
         return True
 
     def _acquire(self, path: Path, what: str, deadline_s: float) -> None:

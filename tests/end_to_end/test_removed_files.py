@@ -1,6 +1,7 @@
 """A driven bench whose run-time files somebody removes or truncates, and whose log nobody reads."""
 
 import os
+import shutil
 import time
 
 import pytest
@@ -87,3 +88,21 @@ def test_a_log_that_nobody_reads_any_more_ends_nothing(driven):
         driven.refuses("arm", "must be DISARMED")
     assert driven.status()["state"] in ("ARMING", "RUNNING")
     assert driven.tell("disarm")["state"] == "DISARMED"
+
+
+def test_a_driven_bench_whose_folder_vanishes_for_good_is_ramped_down(tmp_path):
+    folder = tmp_path / "ring"
+    folder.mkdir()
+    with emulator("--port", "0") as serves:
+        section = {"ring_log": str(folder / "bench.ring")}
+        bench = bench_file(tmp_path, serves, rate_Hz=100.0, limits=LONG_LIMITS, daemon=section)
+        with daemon(bench) as running:
+            running.ring = folder / "bench.ring"
+            running.connected()
+            running.tell("arm")
+            shutil.rmtree(folder)
+            running.wait_for("no socket can be made on which a stop would come; ramping down")
+            running.wait_for("DISARMED")
+            folder.mkdir()
+            until(lambda: load_bench(bench).stop_socket_path.exists() and load_bench(bench).lock_path.exists())
+            assert running.status()["state"] == "DISARMED"
