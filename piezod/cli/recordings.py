@@ -83,6 +83,7 @@ def record_to_file(
         Ctrl-C ended the drive.
     """
     from piezod.commissioning.record import excitation_duration_s, record_excitation
+    from piezod.errors import CheckFailedError
     from piezod.excitation import default_periods
     from piezod.recording import check_absent, check_recording_target, write_recording
     from piezod.report.progress import progress
@@ -100,12 +101,17 @@ def record_to_file(
             reset_cycle=reset_cycle,
             on_rows=show,
         )
-    if outcome.stopped and not recording.time_s.size:
+    if not recording.time_s.size:
+        text = f"{recording.metadata.get('incomplete', 'no sample')}; {output} is not written"
+        if outcome.fault:
+            raise CheckFailedError(f"the recording ended before the excitation began: {text}")
         print(f"stopped before the excitation began; {output} is not written", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
     write_recording(recording, output)
     missing = f", {outcome.missed} ticks missed" if outcome.missed else ""
     print(f"{output}: {recording.time_s.size} samples, {recording.time_s[-1]:.1f} s{missing}")
+    if outcome.fault:
+        raise CheckFailedError(f"{output}: the recording ended early: {recording.metadata['incomplete']}")
     if outcome.stopped:
         print(f"{output}: incomplete, {recording.metadata['incomplete']}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)

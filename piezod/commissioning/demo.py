@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 from piezod.commissioning.emulator import real_time_bench
 from piezod.config.reference import WaveformReference
+from piezod.daemon.run import drive
 from piezod.recording import Recording
 from piezod.session.assembly import load_bench_and_model
-from piezod.session.follow import OnRows, follow_session
-from piezod.session.history import History
-from piezod.session.session import Session
+from piezod.session.history import History, OnRows
 from piezod.session.task import Outcome, SegmentSpec
 
 REFERENCES = {
@@ -59,10 +58,9 @@ def run_demo(on_rows: OnRows, segment_names: list[str], *, quick: bool = False) 
     segment_names.extend(segment.name for segment in segments)
     with real_time_bench() as (bench, path):
         _, model = load_bench_and_model(path)
-        session = Session(bench, model, path.parent, segments)
-        history = follow_session(session, on_rows)
+        history, outcome = drive(path, bench, model, segments, on_rows)
     recordings = {}
     for number, key in enumerate(keys):
         metadata = {"bench": bench.name, "reference": key[0], "compensation": key[1]}
         recordings[key] = history.recording(number, metadata=metadata)
-    return DemoResult(recordings, history, session.outcome)
+    return DemoResult(recordings, history, outcome)

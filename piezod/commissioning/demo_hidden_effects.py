@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from piezod.commissioning.emulator import VIRTUAL_RATE_HZ, virtual_time_bench
 from piezod.config import load_bench
 from piezod.config.reference import WaveformReference
+from piezod.daemon.run import drive
 from piezod.errors import CheckFailedError
 from piezod.excitation import IDENTIFICATION, excitation
 from piezod.model import Model
 from piezod.recording import Recording
-from piezod.session.follow import OnRows, follow_session
-from piezod.session.session import Session
+from piezod.session.history import OnRows
 from piezod.session.task import SegmentSpec
 
 HIDDEN = ("creep", "electrical_lag", "transport_delay")  # effects of the emulated bench, each at its default strength
@@ -53,10 +53,9 @@ def record_hidden_effects(folder: Path, on_rows: OnRows) -> Recording:
         bench = load_bench(path)
         voltages_V = _excitation_voltages(VIRTUAL_RATE_HZ)
         segment = SegmentSpec("work", "direct", voltages_V=voltages_V, reset_cycle=False)
-        session = Session(bench, None, folder, [segment])
-        history = follow_session(session, on_rows)
-    if session.outcome.fault:
-        raise CheckFailedError(f"the recording ended early: {session.outcome.fault}")
+        history, outcome = drive(path, bench, None, [segment], on_rows)
+    if outcome.fault:
+        raise CheckFailedError(f"the recording ended early: {outcome.fault}")
     return history.recording(0, metadata={"bench": bench.name, "hidden": "effects"}, follows_force=False)
 
 
@@ -88,10 +87,9 @@ def compare_models(folder: Path, static: Model, extended: Model, on_rows: OnRows
     ):
         with virtual_time_bench(folder, "stack", HIDDEN) as path:
             bench = load_bench(path)
-            session = Session(bench, model, folder, [SegmentSpec(compensation, kind, REFERENCE)])
-            history = follow_session(session, on_rows)
-        if session.outcome.fault or session.outcome.stopped:
-            raise CheckFailedError(f"{compensation}: ended early: {session.outcome.fault or 'stopped'}")
+            history, outcome = drive(path, bench, model, [SegmentSpec(compensation, kind, REFERENCE)], on_rows)
+        if outcome.fault or outcome.stopped:
+            raise CheckFailedError(f"{compensation}: ended early: {outcome.fault or 'stopped'}")
         metadata = {"bench": bench.name, "reference": REFERENCE_NAME, "compensation": compensation}
         recordings[REFERENCE_NAME, compensation] = history.recording(0, metadata=metadata)
     return recordings

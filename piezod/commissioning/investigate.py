@@ -15,12 +15,13 @@ from piezod.diagnose.experiment.isolability import Isolability, isolability
 from piezod.diagnose.experiment.planning import Experiment, next_experiment, separation
 from piezod.diagnose.findings import Findings
 from piezod.diagnose.judgement import Diagnosis
+from piezod.errors import CheckFailedError
 from piezod.estimation.recordings.sources import past_sources, read_source
 from piezod.model import load_model
 from piezod.recording import Recording, write_recording
 from piezod.report.isolability import promise_text
 from piezod.session.assembly import load_bench_without_model
-from piezod.session.follow import OnRows
+from piezod.session.history import OnRows
 
 Pairs = tuple[tuple[str, str], ...]
 PERIODS = 1
@@ -206,6 +207,8 @@ def investigate(
             raise KeyboardInterrupt  # Ctrl-C ended the drive, and with it the investigation
         own, joint = output / f"work_{number}.csv", output / "work.csv"
         write_recording(recorded, own)
+        if outcome.fault:
+            raise CheckFailedError(f"{own}: the drive ended early: {recorded.metadata['incomplete']}")
         all_drives = recorded if all_drives is None else joined(all_drives, recorded, rest_V)
         write_recording(all_drives, joint)
         folder = output / f"diagnosis_{number}"

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from piezod.config import BenchConfig
 from piezod.control.references.file_times import check_gaps, tick_positions
-from piezod.errors import CheckFailedError, RecordingError, UsageError
+from piezod.daemon.run import drive
+from piezod.errors import RecordingError, UsageError
 from piezod.excitation import EXCITATIONS, duration_s, excitation
 from piezod.recording import TIME, Recording, StrictTable, read_recording, read_strict_csv
 from piezod.recording.files import READ_ONLY, SPREADSHEETS
 from piezod.session.assembly import load_bench_without_model
-from piezod.session.follow import OnRows, follow_session
-from piezod.session.session import Session
+from piezod.session.history import OnRows
 from piezod.session.task import Outcome, SegmentSpec
 
 VOLTAGE = "voltage_V"  # column of a recording that is driven again
@@ -52,7 +52,7 @@ def record_excitation(
     Returns
     -------
     tuple
-        Recording, and outcome of the session.
+        Recording, and outcome of the session. After a fault or a stop the recording has what was driven.
 
     Raises
     ------
@@ -60,17 +60,12 @@ def record_excitation(
         There is no such excitation, or voltages exceed the limits.
     RecordingError
         The recording to drive cannot be read.
-    CheckFailedError
-        A fault ended the session early.
     """
     bench = load_bench_without_model(path)
     voltages_V = _voltages(name, peak_V, frequency_Hz, periods, bench)
     peak_V = float(voltages_V.max())
     segment = SegmentSpec(name, "direct", voltages_V=voltages_V, reset_cycle=reset_cycle)
-    session = Session(bench, None, path.parent, [segment])
-    history = follow_session(session, on_rows)
-    if session.outcome.fault:
-        raise CheckFailedError(f"the recording ended early: {session.outcome.fault}")
+    history, outcome = drive(path, bench, None, [segment], on_rows)
     metadata = {
         "bench": bench.name,
         "excitation": _description(name, peak_V, frequency_Hz, periods),
@@ -78,10 +73,11 @@ def record_excitation(
         "recorded": datetime.now(UTC).isoformat(timespec="seconds"),
     }
     recording = history.recording(0, metadata=metadata, follows_force=False)
-    if session.outcome.stopped:
+    if outcome.fault or outcome.stopped:
         planned_s = voltages_V.size / bench.rate_Hz
-        recording.metadata["incomplete"] = f"stopped by the user after {_end_s(recording):.1f} of {planned_s:.1f} s"
-    return recording, session.outcome
+        why = outcome.fault or "stopped by the user"
+        recording.metadata["incomplete"] = f"{why}, after {_end_s(recording):.1f} of {planned_s:.1f} s"
+    return recording, outcome
 
 
 def excitation_duration_s(name: str, frequency_Hz: float, periods: int) -> float:

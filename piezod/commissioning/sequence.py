@@ -11,14 +11,13 @@ from piezod.config import BenchConfig, model_path
 from piezod.config.reference import FileReference
 from piezod.config.sequence import SequenceStep, TestSequence, load_sequence
 from piezod.control import ROW_DTYPE
+from piezod.daemon.run import drive
 from piezod.errors import CheckFailedError, ConfigurationError, PiezodError
 from piezod.model import Model
 from piezod.recording import Recording
 from piezod.recording.ticks import GOOD
 from piezod.session.assembly import load_bench_and_model, reference_table
-from piezod.session.follow import OnRows, follow_session
-from piezod.session.history import History
-from piezod.session.session import Session
+from piezod.session.history import History, OnRows
 from piezod.session.task import Outcome, SegmentSpec
 
 OWN_REFERENCE = ("reference", "voltage", "preview")
@@ -171,11 +170,10 @@ def run_sequence(plan: SequencePlan, config: Path, on_rows: OnRows) -> SequenceR
         SegmentSpec(step.name, step.compensation, variant.reference)
         for step, variant in zip(plan.sequence.steps, plan.variants, strict=True)
     ]
-    session = Session(plan.bench, plan.model, plan.folder, specs)
-    history = follow_session(session, on_rows)
+    history, outcome = drive(config, plan.bench, plan.model, specs, on_rows)
     model = str(model_path(plan.bench, config))
     about = {"bench": plan.bench.name, "model": model, "sequence": plan.sequence.name}
-    return SequenceResult([_step_run(plan, history, k, about) for k in range(len(specs))], session.outcome)
+    return SequenceResult([_step_run(plan, history, k, about) for k in range(len(specs))], outcome)
 
 
 def _step_run(plan: SequencePlan, history: History, number: int, about: dict[str, str]) -> StepRun:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from piezod.config import BenchConfig
 from piezod.config.reference import WaveformReference
+from piezod.daemon.run import drive
 from piezod.errors import ConfigurationError, UsageError
 from piezod.model import Model, steady_range
 from piezod.recording import Recording
 from piezod.session.assembly import load_bench_without_model, load_drivable_model
-from piezod.session.follow import OnRows, follow_session
-from piezod.session.session import Session
+from piezod.session.history import OnRows
 from piezod.session.task import Outcome, SegmentSpec
 
 AMPLITUDES = (0.12, 0.24, 0.36)
@@ -29,8 +29,8 @@ class Validation:
 
     Parameters
     ----------
-    bench, folder
-        Bench configuration, and the folder that its relative paths start from.
+    bench, path
+        Bench configuration and its file.
     range_N
         Lowest and highest force that every model reaches within the limits of the bench [N].
     segments
@@ -38,7 +38,7 @@ class Validation:
     """
 
     bench: BenchConfig
-    folder: Path
+    path: Path
     range_N: tuple[float, float]
     references: dict[str, WaveformReference]
     segments: dict[tuple[str, str], SegmentSpec]
@@ -99,7 +99,7 @@ def plan_validation(path: Path, model_paths: list[Path]) -> Validation:
         segments[name, WITHOUT] = SegmentSpec(f"{name}, {WITHOUT}", "gain", reference, model=first)
         for label, model in models.items():
             segments[name, label] = SegmentSpec(f"{name}, {label}", "inverse", reference, model=model)
-    return Validation(bench, path.parent, range_N, references, segments)
+    return Validation(bench, path, range_N, references, segments)
 
 
 def _common_range_N(bench: BenchConfig, models: dict[str, Model]) -> tuple[float, float]:
@@ -154,15 +154,15 @@ def run_validation(validation: Validation, on_rows: OnRows) -> ValidationResult:
     PiezodError
         The bench could not be connected, or the session failed.
     """
-    session = Session(validation.bench, None, validation.folder, list(validation.segments.values()))
-    history = follow_session(session, on_rows)
+    segments = list(validation.segments.values())
+    history, outcome = drive(validation.path, validation.bench, None, segments, on_rows)
     recordings = {}
     for number, key in enumerate(validation.segments):
         metadata = {"bench": validation.bench.name, "reference": key[0], "compensation": key[1]}
         recording = history.recording(number, metadata=metadata)
         if recording.time_s.size and recording.time_s[-1] > 0.95 * CYCLES / FREQUENCY_HZ:
             recordings[key] = recording
-    return ValidationResult(recordings, session.outcome)
+    return ValidationResult(recordings, outcome)
 
 
 def _labels(paths: list[Path]) -> list[str]:

@@ -144,12 +144,15 @@ def command_and_wait(path: Path, name: str, *, wait: bool) -> dict[str, Any]:
     wait
         Whether to wait until `arm`, `disarm` or `stop` is complete; the status then is part of the result.
     """
+    urged = ""
     if name in URGENT:
         with contextlib.suppress(TemporaryError):  # the answer below reports the result
-            urge(path.with_name(path.name + ".stop"), name, URGE_WITHIN_S)
-    client = Client(path)
+            urged = urge(path.with_name(path.name + ".stop"), name, URGE_WITHIN_S)
     try:
-        answer = client.ask(name)
-        return answer | client.wait_until_settled() if wait and name in ("arm", "disarm", "stop") else answer
-    finally:
-        client.close()
+        with contextlib.closing(Client(path)) as client:
+            answer = client.ask(name)
+            return answer | client.wait_until_settled() if wait and name in ("arm", "disarm", "stop") else answer
+    except UnreachableError:
+        if not urged:
+            raise
+        return {"ok": True, "message": f"{urged}; the command that drove has ended"}

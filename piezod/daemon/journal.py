@@ -29,6 +29,8 @@ class Journal:
         Number of lines that were not written.
     recent
         Last `MOST_RECENT` lines with their time of day, also those that were dropped.
+    is_quiet
+        Whether lines are only added to `recent`: a command that drives prints its own result.
     """
 
     def __init__(self, descriptor: int | None = None) -> None:
@@ -37,11 +39,14 @@ class Journal:
         self._changed = threads.Condition()
         self._thread: threads.Thread | None = None
         self.dropped = 0
+        self.is_quiet = False
         self.recent: deque[str] = deque(maxlen=MOST_RECENT)
 
     def add(self, text: str) -> None:
         """Add one line; it is dropped if `MOST_WAITING` lines wait."""
         self.recent.append(f"{datetime.fromtimestamp(clock.wall_s(), UTC).isoformat(timespec='milliseconds')} {text}")
+        if self.is_quiet:
+            return
         with self._changed:
             if self._thread is None:
                 self._thread = threads.Thread(target=self._write_all, name="journal", daemon=True)

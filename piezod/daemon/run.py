@@ -1,21 +1,31 @@
-"""`piezod run`: the daemon in the foreground, started by systemd or by hand."""
+"""A service in the foreground: `piezod run`, started by systemd or by hand, and every command that drives."""
 
 import asyncio
+import signal
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from piezod.config import load_bench
+from piezod.config import BenchConfig, load_bench
 from piezod.daemon.journal import JOURNAL, log_line
 from piezod.errors import TemporaryError, system_error_text
+from piezod.runtime import signals
 from piezod.session.heat_file import HeatFile
-from piezod.session.lock import lock_bench
+from piezod.session.history import History, OnRows
+from piezod.session.lock import BenchLock, lock_bench
 from piezod.session.session import Session
-from piezod.session.task import Outcome
+from piezod.session.task import Outcome, SegmentSpec
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+    from numpy.typing import NDArray
+
     from piezod.daemon.preview import MissingPreview
+    from piezod.daemon.service import Service
     from piezod.daemon.statistics import TrackingError
+    from piezod.model import Model
 
 
 @dataclass(frozen=True)
@@ -75,37 +85,108 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
         from piezod.session.assembly import correction_size  # noqa: PLC0415  # slow import that other benches do not need
 
         size = correction_size(bench, path.parent)
-    lock = lock_bench(bench)
-    heat_file = HeatFile(bench)
-    heat_W = heat_file.pop()
-    session = Session(bench, None, path.parent, [], serves=path, lock=lock, heat_W=heat_W, correction_size=size)
-    try:
-        session.launch()
-        from piezod.daemon.drift import blocks_file, drift_file  # noqa: PLC0415  # slow import, while the control process starts
-        from piezod.daemon.service import Service  # noqa: PLC0415
-        from piezod.session.learned_file import learned_file  # noqa: PLC0415
 
-        if bench.drift is not None:
-            drift_file(bench).check()
-            blocks_file(bench).check()
-        if bench.learning is not None:
-            learned_file(bench).check()
-        service = Service(path, bench, lock, session, arm=arm)
-        service.outcome.heat_W = heat_W
-        asyncio.run(service.run())
-        heat_file.keep(service.outcome.heat_W)
-    except OSError as error:
-        raise TemporaryError(f"{path}: {system_error_text(error)}") from error
-    finally:
-        session.close()
-        lock.close()
-        JOURNAL.flush()
+    def session_of(lock: BenchLock, heat_W: float) -> Session:
+        return Session(bench, None, path.parent, [], serves=path, lock=lock, heat_W=heat_W, correction_size=size)
+
+    service = _serve(path, bench, session_of, arm=arm)
     _log_result(service.outcome, service.statistics.tracking)
     watch = service.model_watch
     if watch.preview is not None:
         log_line(watch.preview.message())
     JOURNAL.flush()
     return RunResult(service.outcome, service.statistics.tracking, watch.last_drift, watch.preview)
+
+
+def drive(
+    path: Path, bench: BenchConfig, model: "Model | None", segments: list[SegmentSpec], on_rows: OnRows
+) -> tuple[History, Outcome]:
+    """Drive segments and collect every row; a fault, a stop from any side, SIGINT, SIGTERM or SIGHUP ends it at rest.
+
+    Parameters
+    ----------
+    path
+        Bench file; relative paths start from its folder.
+    bench, model
+        Its configuration, and the model of the segments that name none.
+    on_rows
+        Called about ten times per second with new rows.
+
+    Raises
+    ------
+    PiezodError
+        The bench could not be connected, or the session failed.
+    """
+    history = History()
+
+    def add(rows: "NDArray[np.void]") -> None:
+        history.add(rows)
+        on_rows(rows)
+
+    def session_of(lock: BenchLock, heat_W: float) -> Session:
+        return Session(bench, model, path.parent, segments, lock=lock, heat_W=heat_W)
+
+    JOURNAL.is_quiet = True
+    try:
+        return history, _serve(path, bench, session_of, arm=False, on_rows=add).outcome
+    finally:
+        JOURNAL.is_quiet = False
+
+
+def _serve(
+    path: Path,
+    bench: BenchConfig,
+    session_of: "Callable[[BenchLock, float], Session]",
+    *,
+    arm: bool,
+    on_rows: OnRows | None = None,
+) -> "Service":
+    """Run a service from the lock of its bench to the end, and keep the heat of the stack.
+
+    The heat of a session that ended without a word is not kept: the stack may be as hot as its limit allows.
+    """
+    lock = lock_bench(bench)
+    heat_file = HeatFile(bench)
+    heat_W = heat_file.pop()
+    session = session_of(lock, heat_W)
+    before = {number: signals.handler(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        session.launch()
+        from piezod.daemon.service import Service  # noqa: PLC0415  # slow import, while the control process starts
+
+        if on_rows is None:
+            _check_files(bench)
+        service = Service(path, bench, lock, session, arm=arm, on_rows=on_rows)
+        service.outcome.heat_W = heat_W
+        ended = False
+        try:
+            asyncio.run(service.run())
+            ended = True
+        finally:
+            if ended or service.statistics.last is None:  # without a tick nothing was driven
+                heat_file.keep(service.outcome.heat_W)
+    except OSError as error:
+        raise TemporaryError(f"{path}: {system_error_text(error)}") from error
+    finally:
+        session.close()
+        lock.close()
+        JOURNAL.flush()
+        if on_rows is not None:  # the command goes on; a daemon ends
+            for number, handler in before.items():
+                signals.handle(number, handler)
+    return service
+
+
+def _check_files(bench: BenchConfig) -> None:
+    """Refuse files of another origin at the paths that the daemon writes."""
+    from piezod.daemon.drift import blocks_file, drift_file  # noqa: PLC0415  # slow import, as above
+    from piezod.session.learned_file import learned_file  # noqa: PLC0415
+
+    if bench.drift is not None:
+        drift_file(bench).check()
+        blocks_file(bench).check()
+    if bench.learning is not None:
+        learned_file(bench).check()
 
 
 def _log_result(outcome: Outcome, tracking: "TrackingError") -> None:

@@ -1,7 +1,8 @@
 """The daemon, parent of the control process: sessions, answers to clients, notifications. It cannot delay a tick.
 
 Without `--arm` it runs until a signal ends it. It is disarmed, waits for a device that does not answer, and drives the
-bench after the command `arm` on its socket. With `--arm` it drives the reference once and ends.
+bench after the command `arm` on its socket. With `--arm` it drives the reference once and ends. A command that drives,
+such as `piezod record`, is a service too: it drives the segments of its session and ends.
 """
 
 import asyncio
@@ -34,6 +35,7 @@ from piezod.errors import ConfigurationError, PiezodError, TemporaryError
 from piezod.recorder.watch import RecorderWatch
 from piezod.runtime import clock, signals
 from piezod.session.assembly import correction_size
+from piezod.session.history import OnRows
 from piezod.session.lock import BenchLock
 from piezod.session.session import POLL_INTERVAL_S, Session, rebuild_error
 from piezod.session.task import Outcome
@@ -49,6 +51,7 @@ UNSTOPPABLE_S = 1.0
 """Time without a socket for a stop, from its discovery, after which the bench ramps down [s]; two seconds in all."""
 DRIVING = (State.ARMING, State.RUNNING)
 ENDING = (signal.SIGTERM, signal.SIGINT)
+HANDLED = (*ENDING, signal.SIGHUP)
 COMMANDS = ("status", "log", "arm", "disarm", "stop", "reset", "reload")  # commands of the socket
 
 
@@ -63,6 +66,9 @@ class Service:
         First session. Its control process has been launched, and starts while this module is being imported.
     arm
         Whether to arm at once and end with the reference.
+    on_rows
+        Called about ten times per second with new rows, shape (N,), by a command whose session drives segments. None:
+        the bench file is served.
 
     Attributes
     ----------
@@ -76,7 +82,17 @@ class Service:
         Durations of the phases of a tick.
     """
 
-    def __init__(self, path: Path, bench: BenchConfig, lock: BenchLock, session: Session, *, arm: bool) -> None:
+    def __init__(
+        self,
+        path: Path,
+        bench: BenchConfig,
+        lock: BenchLock,
+        session: Session,
+        *,
+        arm: bool,
+        on_rows: OnRows | None = None,
+    ) -> None:
+        self._on_rows = on_rows
         self._path, self._bench, self._lock = path, bench, lock
         self._files = ""
         self._next: BenchConfig | None = None
@@ -132,7 +148,11 @@ class Service:
                 )
                 metrics = MetricsServer(shown, log_line)
                 stack.push_async_callback(metrics.close)
-                await metrics.open(self._bench.daemon.metrics_port)
+                try:
+                    await metrics.open(self._bench.daemon.metrics_port)
+                except PiezodError:
+                    if self._on_rows is None:  # a command of a minute drives without metrics
+                        raise
             await self._run_sessions()
 
     def status(self) -> dict[str, object]:
@@ -157,9 +177,10 @@ class Service:
     def _add_signal_handlers(self) -> None:
         """Handle signals; those that end the daemon act at once, also while the event loop waits for something."""
         loop = asyncio.get_running_loop()
-        for number in ENDING:
+        for number in ENDING if self._on_rows is None else HANDLED:
             signals.handle(number, lambda *_: self._stop(loop))
-        loop.add_signal_handler(signal.SIGHUP, self._begin_reload)
+        if self._on_rows is None:
+            loop.add_signal_handler(signal.SIGHUP, self._begin_reload)
 
     def _begin_reload(self) -> None:
         """Reload, unless the daemon is ending."""
@@ -189,7 +210,8 @@ class Service:
                 attempt = 0
             except PiezodError as error:
                 is_half_written = isinstance(error, ConfigurationError) and not is_first
-                if self._arm or self._channel.connected or not (isinstance(error, TemporaryError) or is_half_written):
+                waits = not self._arm and self._on_rows is None
+                if not waits or self._channel.connected or not (isinstance(error, TemporaryError) or is_half_written):
                     raise
                 await self._wait_to_retry(error, RETRY_S[min(attempt, len(RETRY_S) - 1)])
                 attempt, again = attempt + 1, True
@@ -248,14 +270,15 @@ class Service:
                 self._recorder.follow(self._bench.ring_log_path)
             self.statistics.begin()
             self.phase_watch.begin(session.shared.phases)
-            self.model_watch.begin(self._bench, session.shared.correction)
+            if self._on_rows is None:
+                self.model_watch.begin(self._bench, session.shared.correction)
             self._notifier.ready()
             self._notifier.status(f"DISARMED, {content.description}")
             if self._stops_requested:
                 session.stop()
             arms = self._arm and not self._stops_requested
             arming = asyncio.get_running_loop().create_task(self._arm_at_start(session)) if arms else None
-            if arming is None:
+            if arming is None and self._on_rows is None:
                 log_line(
                     f"{self._bench.name}: {self._bench.rate_Hz:g} Hz, reading only; arm with: piezod arm {self._path}"
                 )
@@ -284,7 +307,11 @@ class Service:
     def _urge(self, name: str) -> str:
         """Pass `stop` or `disarm` to the control process; one that starts will not arm. Safe in every thread."""
         self._arm_withdrawn = True
+        if self._on_rows is not None:
+            self._stops_requested += 1
         text = self._channel.urge(name)
+        if self._on_rows is not None and not self._channel.connected:
+            return "the drive will not begin"
         return "the start will not arm any more" if self._arm and not self._channel.connected else text
 
     async def _arm_at_start(self, session: Session) -> None:
@@ -373,7 +400,7 @@ class Service:
 
     async def _restore_ring_log(self, session: Session | None) -> bool:
         """Let the control process make the ring log again, and read that one."""
-        if session is None or not session.ring_log_is_broken:
+        if session is None or self._on_rows is not None or not session.ring_log_is_broken:
             return False
         await self._command("ring log")
         session.open_ring_log()
@@ -392,6 +419,8 @@ class Service:
         self.model_watch.add(rows)
         self.railed_watch.add(rows, self._bench)
         self.phase_watch.add_new(self._bench.daemon.slow_phase_ms)
+        if self._on_rows is not None:
+            self._on_rows(rows)
         return bool(rows.size)
 
     def _log_transition(self, state: State, cause: Cause, row: np.void) -> None:
@@ -406,7 +435,7 @@ class Service:
         """Execute one command of the socket."""
         if command in URGENT:
             text = self._urge(command)  # before the pipe, which may be full of other commands
-            if self._arm and not self._channel.connected:
+            if self._on_rows is not None or (self._arm and not self._channel.connected):
                 log_line(f"socket: {command} by {peer}: {text}")
                 return {"ok": True, "message": text}
         if command == "status":
@@ -416,6 +445,8 @@ class Service:
         if command not in COMMANDS:
             return {"ok": False, "error": f"command is {command!r}, must be one of {', '.join(COMMANDS)}", "code": 2}
         try:
+            if self._on_rows is not None:
+                raise TemporaryError(f"{command}: a command drives this bench; wait for its end, or piezod stop")
             message = await (self._reload() if command == "reload" else self._command(command))
         except PiezodError as error:
             log_line(f"socket: {command} by {peer}: refused: {error}")
@@ -475,7 +506,6 @@ class Service:
 
 def _ignore_signals() -> None:
     """Ignore signals from now on: the bench is at rest, and an event loop that closes cannot take them any more."""
-    loop = asyncio.get_running_loop()
-    loop.remove_signal_handler(signal.SIGHUP)
-    for number in (*ENDING, signal.SIGHUP):
+    asyncio.get_running_loop().remove_signal_handler(signal.SIGHUP)
+    for number in HANDLED:
         signals.handle(number, signal.SIG_IGN)

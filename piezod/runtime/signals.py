@@ -4,3 +4,5 @@ import signal
 
 handle = signal.signal
 """Set the handler of a signal, as `signal.signal`."""
+handler = signal.getsignal
+"""Handler of a signal, as `signal.getsignal`."""

@@ -125,7 +125,7 @@ def _execute(task: Task, pipe: Connection, shared: SharedMemory | None = None) -
         signals.handle(signal.SIGUSR2, lambda *_: loop.request_stop(fast=True))
         signals.handle(signal.SIGUSR1, lambda *_: commands.notify())
         for name, number in URGENT.items():
-            signals.handle(number, lambda *_, name=name: commands.urge(name))
+            signals.handle(number, lambda *_, name=name: _urge(name, task, loop, commands))
         if not _send(pipe, ("ready", Ready(link.description, files))):
             loop.request_stop()
         with real_time(bench.real_time):
@@ -169,6 +169,14 @@ def _warm_up(segments: list[Segment]) -> None:
     for segment in segments:
         segment.compensator.commit(segment.compensator.plan(0.0))
         segment.compensator.reset()
+
+
+def _urge(name: str, task: Task, loop: ControlLoop, commands: CommandQueue) -> None:
+    """Execute `stop` or `disarm`: they end a drive of segments, and a served bench stays, disarmed."""
+    if task.serves is None:
+        loop.request_stop(fast=name == "stop")
+    else:
+        commands.urge(name)
 
 
 def _serve(loop: ControlLoop, commands: CommandQueue) -> Cause:

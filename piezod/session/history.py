@@ -1,5 +1,6 @@
 """All rows of a session, and their evaluation: recordings and timing figures."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,9 @@ from numpy.typing import NDArray
 from piezod.control import ROW_DTYPE, State
 from piezod.recording import HELD_ONE_SAMPLE, Recording
 from piezod.recording.ticks import GOOD, pair_rows
+
+OnRows = Callable[[NDArray[np.void]], None]
+"""Called about ten times per second with the new rows of the ring log, shape (N,)."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ def bench(monkeypatch, tmp_path):
         driven.append(excitation)
         channels = {"voltage_V": np.arange(4.0), "force_N": np.zeros(4)}
         metadata = {"recorded": f"2026-11-26T12:00:{10 * len(driven):02d}+00:00"}
-        return Recording(np.arange(4) * 0.1, channels, metadata, "x"), SimpleNamespace(stopped=False)
+        return Recording(np.arange(4) * 0.1, channels, metadata, "x"), SimpleNamespace(fault="", stopped=False)
 
     def diagnose(recordings, *_):
         (path,) = recordings
