@@ -1,6 +1,6 @@
 """The load or the mount changes at an instant, and may change back.
 
-Forward    F + step from on_s until off_s. Each edge is a straight ramp of rise_s.
+Forward    F + step from on_s until off_s. Each edge is a straight ramp of rise_s, of one sample at least.
 Inverse    Refused.
 Signature  One or two abrupt edges that the command does not explain. Look-alikes: thermal_drift has no edge,
            sensor_dropout does not move.
