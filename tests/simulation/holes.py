@@ -70,7 +70,7 @@ HOLES = {
     ),
     "urgent stop is lost": Hole(
         "piezod.session.control_process",
-        "lambda *_, name=name: commands.urge(name)", "lambda *_, name=name: None", "G1: the stop socket has no effect",
+        "lambda *_, name=name: _urge(name, task, loop, commands)", "lambda *_, name=name: None", "G1: the stop socket has no effect",
     ),
     "full socket refuses a stop": Hole(
         "piezod.daemon.control_socket",
