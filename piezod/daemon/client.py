@@ -144,15 +144,15 @@ def command_and_wait(path: Path, name: str, *, wait: bool) -> dict[str, Any]:
     wait
         Whether to wait until `arm`, `disarm` or `stop` is complete; the status then is part of the result.
     """
-    urged = ""
+    urged, stop_socket = "", path.with_name(path.name + ".stop")
     if name in URGENT:
         with contextlib.suppress(TemporaryError):  # the answer below reports the result
-            urged = urge(path.with_name(path.name + ".stop"), name, URGE_WITHIN_S)
+            urged = urge(stop_socket, name, URGE_WITHIN_S)
     try:
         with contextlib.closing(Client(path)) as client:
             answer = client.ask(name)
             return answer | client.wait_until_settled() if wait and name in ("arm", "disarm", "stop") else answer
     except UnreachableError:
-        if not urged:
+        if not urged or stop_socket.exists():  # a service removes it at its end; one that hangs or was killed does not
             raise
         return {"ok": True, "message": f"{urged}; the command that drove has ended"}

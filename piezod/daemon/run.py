@@ -89,7 +89,7 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
     def session_of(lock: BenchLock, heat_W: float) -> Session:
         return Session(bench, None, path.parent, [], serves=path, lock=lock, heat_W=heat_W, correction_size=size)
 
-    service = _serve(path, bench, session_of, arm=arm)
+    service = _serve(path, bench, session_of, arm=arm, on_rows=None)
     _log_result(service.outcome, service.statistics.tracking)
     watch = service.model_watch
     if watch.preview is not None:
@@ -134,12 +134,7 @@ def drive(
 
 
 def _serve(
-    path: Path,
-    bench: BenchConfig,
-    session_of: "Callable[[BenchLock, float], Session]",
-    *,
-    arm: bool,
-    on_rows: OnRows | None = None,
+    path: Path, bench: BenchConfig, make: "Callable[[BenchLock, float], Session]", *, arm: bool, on_rows: OnRows | None
 ) -> "Service":
     """Run a service from the lock of its bench to the end, and keep the heat of the stack.
 
@@ -148,7 +143,7 @@ def _serve(
     lock = lock_bench(bench)
     heat_file = HeatFile(bench)
     heat_W = heat_file.pop()
-    session = session_of(lock, heat_W)
+    session = make(lock, heat_W)
     before = {number: signals.handler(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         session.launch()

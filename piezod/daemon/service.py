@@ -49,7 +49,7 @@ FILES_INTERVAL_S = 0.5
 """Time between two looks at lock, sockets and ring log [s]: what is removed is noticed within a second."""
 UNSTOPPABLE_S = 1.0
 """Time without a socket for a stop, from its discovery, after which the bench ramps down [s]; two seconds in all."""
-DRIVING = (State.ARMING, State.RUNNING)
+DRIVING = (State.ARMING, State.RUNNING, State.HOLD)
 ENDING = (signal.SIGTERM, signal.SIGINT)
 HANDLED = (*ENDING, signal.SIGHUP)
 COMMANDS = ("status", "log", "arm", "disarm", "stop", "reset", "reload")  # commands of the socket
@@ -107,6 +107,7 @@ class Service:
         self._stop_path = StopPath(bench, self._urge)
         self._arm_withdrawn = False
         self._files_problem = ""
+        self._lock_lost = False
         self._files_seen_s = 0.0
         self._stoppable_s = self._begun_s
         self._stops_requested = 0
@@ -355,7 +356,10 @@ class Service:
             await self._restore_files(session)
 
     async def _restore_files(self, session: Session | None) -> None:
-        """Make lock, sockets and ring log again if somebody has removed them. No step prevents another one."""
+        """Make lock, sockets and ring log again if somebody has removed them. No step prevents another one.
+
+        Once another program has the bench, its files stand there: the service ends and makes none.
+        """
         made, problems = [], []
         for name, restore in (
             ("lock", self._restore_lock),
@@ -367,6 +371,8 @@ class Service:
                 made += [name] if await restore(session) else []
             except PiezodError as error:
                 problems.append(str(error))
+            if self._lock_lost:
+                return
         problem = "; ".join(problems)
         if problem and problem != self._files_problem:
             log_line(f"a file of the daemon was removed and cannot be made again: {problem}")
@@ -378,6 +384,7 @@ class Service:
         """Lock again; end if another program has the bench."""
         if not self._lock.restore():
             log_line(f"{self._bench.name}: its lock was removed, and another program has taken it; ramping down")
+            self._lock_lost = True
             self._stops_requested += 1
             self._wake.set()
             if session is not None:

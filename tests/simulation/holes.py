@@ -70,7 +70,7 @@ HOLES = {
     ),
     "urgent stop is lost": Hole(
         "piezod.session.control_process",
-        "lambda *_, name=name: _urge(name, task, loop, commands)", "lambda *_, name=name: None", "G1: the stop socket has no effect",
+        "_urge(name, task, loop, commands)", "None", "G1: the stop socket has no effect",
     ),
     "full socket refuses a stop": Hole(
         "piezod.daemon.control_socket",
@@ -103,7 +103,7 @@ HOLES = {
         "V10: a jump of the reference",
     ),
     "ramp down at the slew": Hole(
-        "piezod.control.loop", "return self._ramp_V if motion.to_safe else self._planner.largest_change_V", "return inf if motion.to_safe else self._planner.largest_change_V", "F7: rate of a ramp",
+        "piezod.control.loop", "self._ramp_V if motion.to_safe", "inf if motion.to_safe", "F7: rate of a ramp",
     ),
     "set point is not compared": Hole(
         "piezod.control.device_guard",
