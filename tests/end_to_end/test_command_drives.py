@@ -56,12 +56,14 @@ def verb_of(name, bench, folder):
 
 @contextlib.contextmanager
 def driving(name, bench, folder):
-    """The command, from the first tick that follows its reference."""
+    """The command, once 20 ticks and more have followed its reference."""
     command = [sys.executable, "-m", "piezod", *map(str, verb_of(name, bench, folder))]
     process = Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        deadline_s = time.monotonic() + WITHIN_S
-        while status_of(bench).get("state") != State.RUNNING.name:
+        deadline_s, first = time.monotonic() + WITHIN_S, None
+        while first is None or status_of(bench).get("ticks", 0) < first + 20:
+            if first is None and (status := status_of(bench)).get("state") == State.RUNNING.name:
+                first = status["ticks"]
             assert time.monotonic() < deadline_s
             assert process.poll() is None, process.stderr.read()
             time.sleep(0.1)
@@ -95,7 +97,7 @@ def test_a_command_that_drives_ends_at_rest_by_every_way_to_stop_it_and_keeps_it
     assert at_rest(bench)
     files = [*tmp_path.glob("out.csv"), *tmp_path.glob("out/step_*.csv")]
     assert files
-    assert all(read_csv(file).time_s.size > 1 for file in files)
+    assert all(read_csv(file).time_s.size >= 20 for file in files)
 
 
 def test_what_only_a_served_bench_obeys_is_refused_while_a_command_drives(bench, tmp_path):

@@ -79,13 +79,13 @@ def test_a_step_that_cannot_be_driven_is_one_line_and_no_session_is_started(benc
 
 
 def test_no_voltage_is_written_where_a_check_of_the_bench_fails(tmp_path, monkeypatch):
-    """Nobody answers at the address: the device checks fail, and no session is made."""
+    """Nobody answers at the address: the device checks fail, and nothing drives."""
     from piezod.commissioning import sequence
 
     def forbidden(*_args, **_more):
-        raise AssertionError("a session was made")
+        raise AssertionError("the bench was driven")
 
-    monkeypatch.setattr(sequence, "Session", forbidden)
+    monkeypatch.setattr(sequence, "drive", forbidden)
     config = bench_file(tmp_path, {"tcp": "127.0.0.1:1"}, rate_Hz=200, limits={"stale_after_ms": 20})
     with pytest.raises(CheckFailedError, match="not driven"):
         sequence.plan_sequence(config, sequence_file(tmp_path, step()))
