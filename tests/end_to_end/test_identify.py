@@ -146,6 +146,6 @@ def test_ctrl_c_ramps_down_and_marks_the_recording_as_incomplete(tmp_path):
         about = {"peak_V": 80.0, "frequency_Hz": 0.1, "periods": 20, "reset_cycle": False, "on_rows": interrupt}
         recording, outcome = record_excitation(bench, "constant-triangles", **about)
     assert outcome.stopped
-    assert recording.metadata["incomplete"].startswith("stopped by the user after ")
+    assert recording.metadata["incomplete"].startswith("stopped by the user, after ")
     assert recording.metadata["incomplete"].endswith(" of 200.0 s")
     assert 0.5 < recording.time_s[-1] < 199.0
