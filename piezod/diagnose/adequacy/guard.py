@@ -10,9 +10,10 @@ import numpy as np
 
 from piezod.arrays import Array, Mask
 from piezod.diagnose.adequacy.absorber import Columns, Event
-from piezod.diagnose.adequacy.ridge import BlockPrediction, Blocks, predicted_blocks
+from piezod.diagnose.adequacy.ridge import BlockPrediction, predicted_blocks
 from piezod.diagnose.localisation import colour, events
 from piezod.diagnose.localisation.cells import NormalisedResidual
+from piezod.estimation.fit.blocks import Blocks
 from piezod.estimation.recordings.noise import noise_of_input
 from piezod.estimation.recordings.series import BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS, Series
 
@@ -166,17 +167,14 @@ class _Prediction:
 
 
 def _sums(recordings: Sequence[_Recording], columns: Columns) -> Blocks:
-    gram, product, square, samples = [], [], [], []
+    sums = []
     for number, recording in enumerate(recordings):
         inside = recording.inside
         for stretch, part in columns.stretches(number, recording.edges):
             keep = inside[stretch]
             used, residual = part[keep] / recording.series.noise_N, recording.residual[stretch][keep]
-            gram.append(used.T @ used)
-            product.append(used.T @ residual)
-            square.append(float(residual @ residual))
-            samples.append(float(residual.size))
-    return Blocks(np.array(gram), np.array(product), np.array(square), np.array(samples))
+            sums.append(Blocks.of(used, residual, [slice(None)]))
+    return Blocks.all_of(sums)
 
 
 def _detected_events(recordings: Sequence[_Recording], remainders: Sequence[Array]) -> list[Event]:

@@ -1,0 +1,116 @@
+"""Sums of a least-squares fit by block: every block is predicted by a fit of the others, without its samples.
+
+The squared error of a block at the parameters x is square - 2 x' side + x' gram x. The sums of the other blocks are the
+total without its own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from piezod.arrays import Array, Index, Mask
+
+DEPENDENT = 1e-13  # penalty of a column scaled to unit curvature, so that dependent columns share their size
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Sums by block.
+
+    Parameters
+    ----------
+    gram
+        Products of the columns with each other, shape (B, P, P).
+    side
+        Products of the columns with the target, shape (B, P), or with K targets, shape (B, P, K).
+    square
+        Square of the target, shape (B,), or products of the targets with each other, shape (B, K, K).
+    samples
+        Number of samples, shape (B,).
+    """
+
+    gram: Array
+    side: Array
+    square: Array
+    samples: Array
+
+    @classmethod
+    def of(cls, columns: Array, target: Array, parts: Sequence[slice | Index | Mask]) -> "Blocks":
+        """Sums over parts of weighted columns, shape (N, P), and of a weighted target, shape (N,)."""
+        rows = [(columns[part], target[part]) for part in parts]
+        return cls(
+            np.array([own.T @ own for own, _ in rows]),
+            np.array([own.T @ value for own, value in rows]),
+            np.array([value.T @ value for _, value in rows]),
+            np.array([float(value.shape[0]) for _, value in rows]),
+        )
+
+    @classmethod
+    def all_of(cls, parts: "Sequence[Blocks]") -> "Blocks":
+        """Blocks of several recordings, one after the other."""
+        sums = [(one.gram, one.side, one.square, one.samples) for one in parts]
+        return cls(*(np.concatenate(arrays) for arrays in zip(*sums, strict=True)))
+
+    def folded(self, folds: Index) -> "Blocks":
+        """Sums of the blocks of each fold; `folds` are their numbers from 0, shape (B,)."""
+        members = [folds == k for k in range(int(folds.max()) + 1)]
+        arrays = self.gram, self.side, self.square, self.samples
+        return Blocks(*(np.array([sums[chosen].sum(axis=0) for chosen in members]) for sums in arrays))
+
+    def part(self, chosen: Sequence[int] | Index | slice) -> "Blocks":
+        """Some of the blocks."""
+        return Blocks(self.gram[chosen], self.side[chosen], self.square[chosen], self.samples[chosen])
+
+    @cached_property
+    def total(self) -> tuple[Array, Array]:
+        """Gram and side over all blocks."""
+        return self.gram.sum(axis=0), self.side.sum(axis=0)
+
+    def rest(self, omitted: Sequence[int]) -> tuple[Array, Array]:
+        """Gram and side over all blocks but the omitted ones."""
+        gram, side = self.total
+        chosen = list(omitted)
+        return gram - self.gram[chosen].sum(axis=0), side - self.side[chosen].sum(axis=0)
+
+    def solve(self, omitted: Sequence[int] = (), penalty: Array | float = 0.0, pull: Array | float = 0.0) -> Array:
+        """Parameters fitted to all blocks but the omitted ones, shape of a side.
+
+        `penalty` is added to the gram, shape (P, P), and `pull` to the side.
+        """
+        gram, side = self.rest(omitted) if len(omitted) else self.total
+        return solved(gram + penalty, side + pull)
+
+    def without(self, penalty: Array | float = 0.0, pull: Array | float = 0.0) -> Array:
+        """Parameters fitted without each block, shape of `side`; see `solve`."""
+        return np.array([self.solve([k], penalty, pull) for k in range(self.square.shape[0])])
+
+    def errors(self, parameters: Array) -> Array:
+        """Squared error of every block, shape of `square`, at parameters of its own or of all, shape of a side."""
+        if self.square.ndim == 1:
+            targets = Blocks(self.gram, self.side[..., None], self.square[:, None, None], self.samples)
+            result: Array = targets.errors(parameters[..., None])[:, 0, 0]
+            return result
+        turned = np.swapaxes(parameters, -1, -2)
+        once = turned @ self.side
+        products: Array = self.square - once - np.swapaxes(once, -1, -2) + turned @ (self.gram @ parameters)
+        return products
+
+
+def solved(matrix: Array, side: Array) -> Array:
+    """Solution of normal equations, shape of the side, (P,) or (P, K), on scaled columns; zeros where there is none."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = matrix * np.outer(scale, scale) + DEPENDENT * np.eye(scale.size)
+    try:
+        result: Array = (np.linalg.solve(scaled, (side.T * scale).T).T * scale).T
+    except np.linalg.LinAlgError:
+        result = np.zeros_like(side)
+    return result
+
+
+def spread(moves: Array) -> Array:
+    """Jackknife covariance of parameters, shape (P, P), from their values without each block, shape (B, P)."""
+    away = moves - moves.mean(axis=0)
+    result: Array = (moves.shape[0] - 1) / moves.shape[0] * away.T @ away
+    return result
