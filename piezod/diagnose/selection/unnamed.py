@@ -15,6 +15,7 @@ from piezod.arrays import Array
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.selection.formula import Formula, candidates
 from piezod.diagnose.selection.significance import sign_test_p
+from piezod.estimation.fit.blocks import Blocks
 from piezod.estimation.recordings.series import Series
 from piezod.model.unnamed_law import (
     COMMAND,
@@ -333,39 +334,26 @@ def _predicted(records: Sequence[_Record], shaped: Callable[[_Record], Array]) -
 
     The ridge with the least error is chosen. `shaped` computes the columns of a recording, shape (rows, K).
     """
-    grams, sides, squares = [], [], []
+    sums = Blocks.all_of([_sums(record, shaped(record), number, len(records)) for number, record in enumerate(records)])
     diagnosed = np.concatenate([np.full(record.blocks, record.diagnosed) for record in records])
     folds = np.concatenate([np.arange(record.blocks) * FOLDS // record.blocks for record in records])
-    for number, record in enumerate(records):
-        columns = np.hstack([shaped(record), np.zeros((record.residual.size, len(records)))])
-        columns[:, number - len(records)] = 1.0
-        weights = np.sqrt(record.counts) / record.noise
-        columns *= weights[:, None]
-        side = weights * record.residual
-        for k in range(record.blocks):
-            rows = record.block == k
-            grams.append(columns[rows].T @ columns[rows])
-            sides.append(columns[rows].T @ side[rows])
-            squares.append(float(side[rows] @ side[rows]))
-    gram, side = np.sum(grams, axis=0), np.sum(sides, axis=0)
+    folded, (gram, side) = sums.folded(folds), sums.total
     size = side.size - len(records)
     diagonal = float(np.trace(gram[:size, :size])) / size
     ridge = np.full(side.size, diagonal if diagonal > 0.0 else 1.0)  # without motion every table is zero
     ridge[size:] *= 1e-9
-    best: tuple[float, Array, Array] | None = None
-    for strength in RIDGES:
-        errors = np.empty(len(squares))
-        for fold in range(FOLDS):
-            omitted = np.flatnonzero(folds == fold)
-            reduced = gram - sum(grams[k] for k in omitted) + np.diag(strength * ridge)
-            solution = np.linalg.solve(reduced, side - sum(sides[k] for k in omitted))
-            for k in omitted.tolist():
-                errors[k] = squares[k] - 2.0 * solution @ sides[k] + solution @ grams[k] @ solution
-        if best is None or errors[diagnosed].sum() < best[0]:
-            solution = np.linalg.solve(gram + np.diag(strength * ridge), side)
-            best = float(errors[diagnosed].sum()), np.maximum(errors[diagnosed], 1e-300), solution[:size]
-    assert best is not None
-    return best[1], best[2]
+    tried = [sums.errors(folded.without(np.diag(strength * ridge))[folds])[diagnosed] for strength in RIDGES]
+    best = int(np.argmin([errors.sum() for errors in tried]))
+    return np.maximum(tried[best], 1e-300), sums.solve(penalty=np.diag(RIDGES[best] * ridge))[:size]
+
+
+def _sums(record: _Record, shaped: Array, number: int, records: int) -> Blocks:
+    """Sums of a recording's columns and of an offset of each of all recordings."""
+    columns = np.hstack([shaped, np.zeros((record.residual.size, records))])
+    columns[:, number - records] = 1.0
+    weights = np.sqrt(record.counts) / record.noise
+    members = [record.block == k for k in range(record.blocks)]
+    return Blocks.of(columns * weights[:, None], weights * record.residual, members)
 
 
 def _simplest(tried: Sequence[_Candidate], reference: float) -> _Candidate:
