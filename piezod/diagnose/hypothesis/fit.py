@@ -11,6 +11,7 @@ from piezod.diagnose.hypothesis.basis import HATS, SPLINES
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.layout import Layout, scaled, step_of, unscaled
 from piezod.diagnose.hypothesis.terms import Point, Term
+from piezod.estimation.fit.blocks import solved, spread
 
 MOST_STEPS = 14
 REUSES, MOST_FALL = 2, 0.01
@@ -247,7 +248,7 @@ class Normal:
             inner += scaled.T @ weighted
             along += scaled.T @ self.weighted[number]
         hessian, gradient = self.hessian.sum(axis=0) + self.ridge, self.gradient.sum(axis=0) + self.pull
-        fitted = np.array([solved(hessian, column) for column in across.T]).T
+        fitted = solved(hessian, across)
         return inner - across.T @ fitted, along - fitted.T @ gradient, np.diag(inner)
 
     def free_energy(self, change: Sequence[Array | None]) -> float:
@@ -290,14 +291,14 @@ class Normal:
                 for square, move, side, block in zip(self.squares, moves, self.gradient, self.hessian, strict=True)
             ]
         )
-        jackknife = np.sqrt((losses.size - 1) / losses.size * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0))
-        spread: tuple[dict[str, float], ...] = tuple({} for _ in self.terms)
+        jackknife = np.sqrt(np.diag(spread(moves)))
+        errors: tuple[dict[str, float], ...] = tuple({} for _ in self.terms)
         for place, (term, parameter) in enumerate(self.layout.searched, start=self.layout.effects):
-            spread[term][parameter.name] = float(jackknife[place])
+            errors[term][parameter.name] = float(jackknife[place])
         counted = np.where(self.counting, self.samples, 0.0)
         samples = np.maximum(self.samples, 1.0)
         left_out = np.where(self.counting, np.maximum(losses, 1e-12), 1e-12) / samples
-        return Fitted(self.terms, self.point, left_out, self.counting * self.squares / samples, counted, spread)
+        return Fitted(self.terms, self.point, left_out, self.counting * self.squares / samples, counted, errors)
 
 
 def _jacobian(
@@ -358,15 +359,3 @@ def _ridge(blocks: Array, layout: Layout) -> Array:
         ridge[first : first + count, first : first + count] += SMOOTH * mean * bends.T @ bends
     assert ridge.shape == (size, size)
     return ridge
-
-
-def solved(matrix: Array, side: Array) -> Array:
-    """Solution of normal equations, with each parameter scaled to its curvature; zeros where there is none."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    try:
-        result: Array = scale * np.linalg.solve(
-            matrix * np.outer(scale, scale) + 1e-13 * np.eye(side.size), scale * side
-        )
-    except np.linalg.LinAlgError:
-        result = np.zeros_like(side)
-    return result

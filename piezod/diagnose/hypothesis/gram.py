@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.arrays import Array
-from piezod.diagnose.hypothesis.fit import Normal, solved, thinned
+from piezod.diagnose.hypothesis.fit import Normal, thinned
+from piezod.estimation.fit.blocks import solved
 
 INDEPENDENT = 1e-6  # least share of a column's square that the fitted parameters do not follow
 INDEPENDENT_PAIR = 1e-4  # least share of a column's square that another column does not follow either

@@ -4,6 +4,7 @@ import numpy as np
 
 from piezod.arrays import Array
 from piezod.effects.parameter import Parameter
+from piezod.estimation.fit.blocks import spread
 
 INTERVAL_FACTOR, FORM_ERROR = 2.0, 0.015
 """Factor on the errors that left-out blocks give, and relative error of the effect's form, added in squares.
@@ -20,10 +21,7 @@ def covariance(moves: Array, form_errors: Array) -> Array:
     form_errors
         Error of each by the form of its effect, which blocks do not show, shape (P,).
     """
-    blocks = moves.shape[0]
-    away = moves - moves.mean(axis=0)
-    spread = (blocks - 1) / blocks * away.T @ away
-    result: Array = INTERVAL_FACTOR**2 * spread + np.diag(form_errors**2)
+    result: Array = INTERVAL_FACTOR**2 * spread(moves) + np.diag(form_errors**2)
     return result
 
 

@@ -14,8 +14,9 @@ import numpy as np
 
 from piezod.arrays import Array
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import Fitted, Normal, solved
+from piezod.diagnose.hypothesis.fit import Fitted, Normal
 from piezod.diagnose.hypothesis.sampling import EQUAL
+from piezod.estimation.fit.blocks import solved
 
 FORM = 0.005
 """Half of a 95 % interval of the wrong share of the contributions, along the signal of one parameter. Of 136 parameters

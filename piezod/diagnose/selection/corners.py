@@ -12,9 +12,10 @@ import numpy as np
 
 from piezod.arrays import Array
 from piezod.diagnose.hypothesis.chain import LONG, Chain
-from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit, solved
+from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.terms import Point
+from piezod.estimation.fit.blocks import solved
 
 PLAYS, KINKS = 64, 48  # size of the first grids
 DENSER_NEAR_ZERO = 1.5  # exponent of the grid of thresholds

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from piezod.arrays import Array
 from piezod.diagnose.hypothesis.basis import HATS, SPLINES, ForceLaw
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import Fitted, Normal, solved, thinned
+from piezod.diagnose.hypothesis.fit import Fitted, Normal, thinned
 from piezod.diagnose.hypothesis.left_out import FORM_ERROR, covariance
 from piezod.diagnose.hypothesis.stack_change import NAMES, factors
 from piezod.diagnose.hypothesis.terms import Point, Term
+from piezod.estimation.fit.blocks import solved, spread
 from piezod.model import Model
 from piezod.model.base_figures import BaseFigures, base_figures, figures_of_loops, two_loops
 from piezod.model.information import DENSITY, LAW, Information, marginal, packed, rounded
@@ -122,10 +123,9 @@ def _figure_errors(normal: Normal, low: float, high: float, simulated: Sequence[
             moved[place] += size
             gradient[:, place] = (figures(moved) - middle) / size
     moves = normal.left_out_moves() @ gradient.T
-    count = moves.shape[0]
-    variances = (count - 1) / count * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0)
+    variances = np.diag(spread(moves)).copy()
     edges = np.cumsum([0, *(len(series.blocks) for series in normal.chain.series)])
-    follows = np.array([solved(normal.hessian.sum(axis=0) + normal.ridge, row) for row in gradient])
+    follows = solved(normal.hessian.sum(axis=0) + normal.ridge, gradient.T).T
     for number in simulated:
         noise = normal.hessian[edges[number] : edges[number + 1]].sum(axis=0)
         variances += np.einsum("ij,jk,ik->i", follows, noise, follows)
