@@ -12,7 +12,7 @@ from piezod.api.given import Given, Some, each_of, loaded_of, names_of, recordin
 from piezod.api.model import GivenModel, model_of
 from piezod.api.results import Diagnosed, Identified
 from piezod.diagnose.diagnosis import diagnose as diagnosis_of
-from piezod.diagnose.verdict.identified import identified_information
+from piezod.diagnose.verdict.information import identified_information
 from piezod.errors import RecordingError, UsageError
 from piezod.estimation.recordings.intake import LoadedRecording, OnStep
 from piezod.estimation.recordings.sources import Source, past_sources

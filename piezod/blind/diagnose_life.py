@@ -12,7 +12,7 @@ from piezod.blind.case import Description, read_description
 from piezod.blind.diagnose_case import Durations, held_out_input, identified, repeatable, simulated
 from piezod.blind.verdict import FINDINGS, failed_verdict
 from piezod.diagnose.command import diagnose_files
-from piezod.diagnose.verdict.identified import identified_information
+from piezod.diagnose.verdict.information import identified_information
 from piezod.errors import PiezodError
 from piezod.estimation.recordings.chosen_samples import outside
 from piezod.estimation.recordings.intake import load_for_simulation

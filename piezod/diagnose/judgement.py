@@ -10,7 +10,7 @@ from piezod.arrays import Array
 from piezod.diagnose.adequacy.guard import explainable
 from piezod.diagnose.adequacy.remainder import motion_of
 from piezod.diagnose.candidates.starts import DIRECT
-from piezod.diagnose.experiment.testable import untestable
+from piezod.diagnose.experiment.isolability import untestable
 from piezod.diagnose.findings import Base, Finding, Findings, Verdict, above_noise, gap_closed
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal

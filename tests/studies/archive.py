@@ -29,7 +29,7 @@ from firmware_sim.concealed.study.lives import work_record
 from firmware_sim.concealed.study.make import write_record
 from piezod.blind.case import Description
 from piezod.blind.diagnose_case import identified
-from piezod.diagnose.verdict.identified import identified_information
+from piezod.diagnose.verdict.information import identified_information
 from piezod.estimation.recordings.sources import read_source
 from piezod.model import save_model
 

@@ -18,7 +18,7 @@ from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import best_intersample, coarse
-from piezod.diagnose.hypothesis.terms import Setting, Term
+from piezod.diagnose.hypothesis.terms import Point, Setting, Term
 from piezod.diagnose.prepare import chain_of, substitute_recording
 from piezod.diagnose.selection.given_effects import given_effects
 from piezod.effects import EFFECTS
@@ -33,6 +33,8 @@ NEARBY = 1.1  # factor on each parameter of a fitted effect, for the changes by 
 SIGNIFICANT = 3.0  # least difference of two effects [standard deviations]
 LARGE = 3.0  # largest size at which effects should be visible and separable [noise rms]; larger ones are obvious
 INDEPENDENT = 1e-9  # share of a change below which it is a combination of other changes
+VISIBLE = 0.04  # least change by an effect of usual size, relative to the squared residual
+ROWS = 6000  # samples of a recording that are compared for `untestable`
 
 BEHIND = {
     Location.AMPLIFIER: "monitor voltage of the amplifier",
@@ -170,6 +172,38 @@ def isolability(
                 independent = _independent(free, own[first], columns[second])
                 separate[i, j] = _size(squares[own[first]], independent, samples)
     return Isolability(effects, seen, separate, noise, tuple(notes))
+
+
+def untestable(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[str, ...]:
+    """Effects of the catalogue that the recordings would not show in their usual size.
+
+    No usual size changes the readings enough beyond the changes that the fitted parameters follow.
+    """
+    few = chain.like(chain.series, ROWS)
+    normal = Normal.at(few, terms, point)
+    diagnosed = [k for k, series in enumerate(few.series) if series.role == "recording"]
+    residual = sum(float(np.sum(normal.weighted[k] ** 2)) for k in diagnosed)
+    names = {term.effect.name for term in terms}
+    starts = catalogue_starts(few, recorded_channels(few.series), {})
+    new = [start for start in starts if start[0].name not in names]
+
+    def energy_of(start: Start) -> tuple[str, float]:
+        effect, values, choices = start
+        term = Term(effect, "since", choices=choices)
+        energies = []
+        for part in parts_of(effect, values).values():
+            given = replace(point, values=(*point.values, part))
+            change = [
+                few.compared(k, (*terms, term), given) - normal.compared[k] if k in diagnosed else None
+                for k in range(len(few.series))
+            ]
+            energies.append(normal.free_energy(change))
+        return effect.name, max(energies)
+
+    energy: dict[str, float] = {}
+    for name, value in each(energy_of, new):
+        energy[name] = max(energy.get(name, 0.0), value)
+    return tuple(name for name, value in energy.items() if value < VISIBLE * residual and name not in DIRECT)
 
 
 def _changes(

@@ -1,7 +1,10 @@
-"""Quantities of the recordings that the place and the plausibility of a fitted effect depend on."""
+"""Quantities of the recordings that the place and the plausibility of a fitted effect depend on, and its place."""
+
+from collections.abc import Mapping
 
 import numpy as np
 
+from piezod.diagnose.findings import Place
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.effects.effect import Record
@@ -21,3 +24,12 @@ def record_of(term: Term, chain: Chain) -> Record:
         fastest_V_per_s=max(float(np.abs(np.diff(series.command_V)).max()) / series.dt_s for series in recordings),
         highest={known.name: chain.parameter(term.effect, known.name).high for known in term.effect.parameters},
     )
+
+
+def place_of(term: Term, values: Mapping[str, float], chain: Chain) -> tuple[Place, ...]:
+    """Place of a fitted effect with these parameter values; empty if it acts everywhere."""
+    where = term.effect.place(values, record_of(term, chain))
+    if where is None:
+        return ()
+    axis, low, high = where
+    return (Place(axis, low, max(low, high)),)

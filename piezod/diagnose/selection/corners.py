@@ -13,6 +13,7 @@ import numpy as np
 from piezod.arrays import Array
 from piezod.diagnose.hypothesis.chain import LONG, Chain
 from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
+from piezod.diagnose.hypothesis.gram import INDEPENDENT
 from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.terms import Point
 from piezod.estimation.fit.blocks import solved
@@ -25,7 +26,6 @@ PASSES, ROUNDS = 3, 2  # grids per round; rounds, each after a refit
 MOST_CORNERS = 20
 LEAST_GAIN = 2e-3  # least gain of a corner, relative to the squared residual
 COLUMNS_AT_ONCE = 14  # as many as the smooth density has: limits the memory
-INDEPENDENT = 1e-6  # share of a column's square below which the fitted parameters follow it
 
 
 @dataclass(frozen=True)

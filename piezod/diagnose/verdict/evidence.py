@@ -7,6 +7,7 @@ import numpy as np
 
 from piezod.diagnose.findings import Base, Finding, Place, Rival, Status, UnchangedEffect, Value
 from piezod.diagnose.hypothesis.left_out import FORM_ERROR, INTERVAL_FACTOR
+from piezod.diagnose.hypothesis.record import place_of
 from piezod.diagnose.hypothesis.stack_change import NAMES
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.rules import RULES
@@ -14,7 +15,6 @@ from piezod.diagnose.selection.acceptance import comparison_loss
 from piezod.diagnose.selection.given_effects import as_given, refitted_without
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.significance import p_value
-from piezod.diagnose.verdict.places import place_of
 from piezod.diagnose.verdict.verdict import held_out_rms
 from piezod.effects import EFFECTS, Parameter
 from piezod.effects.effect import Effect

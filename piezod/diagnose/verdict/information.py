@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 from piezod.arrays import Array
 from piezod.diagnose.hypothesis.basis import HATS, SPLINES, ForceLaw
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import Fitted, Normal, thinned
+from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit, thinned
 from piezod.diagnose.hypothesis.left_out import FORM_ERROR, covariance
+from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.stack_change import NAMES, factors
 from piezod.diagnose.hypothesis.terms import Point, Term
+from piezod.diagnose.prepare import chain_of
 from piezod.estimation.fit.blocks import solved, spread
+from piezod.estimation.recordings.preparation import prepared
+from piezod.estimation.recordings.sources import Source
 from piezod.model import Model
 from piezod.model.base_figures import BaseFigures, base_figures, figures_of_loops, two_loops
 from piezod.model.information import DENSITY, LAW, Information, marginal, packed, rounded
@@ -25,6 +29,7 @@ from piezod.model.information import DENSITY, LAW, Information, marginal, packed
 ORDER = 4  # of the autoregression
 HALF_95 = 1.96  # half of a 95 % interval [standard errors]
 STEP = 1e-4  # of a derivative of the figures, relative to the largest parameter of its kind
+FINE_STEPS = 4  # Gauss-Newton steps from the coarse fit to all compared samples
 SAME_BASE = 1e-6  # relative difference of two ranges of the base that counts as none
 
 
@@ -39,6 +44,20 @@ class _Rows:
     def of(self, names: Sequence[str]) -> Array:
         """Information on some of the parameters if the others are unknown."""
         return marginal(self.matrix, np.array([self.names.index(name) for name in names], dtype=np.int64))
+
+
+def identified_information(model: Model, sources: Sequence[Source]) -> Information | None:
+    """Information about the base; at most 25,000 samples of a recording are compared. None: as in `information_of`.
+
+    Raises
+    ------
+    RecordingError
+        A recording is too short to be diagnosed.
+    """
+    chain, start = chain_of(prepared(sources, model), model)
+    rough = fit(coarse(chain), (), start)
+    fitted = fit(chain, (), rough.point, most_steps=FINE_STEPS)
+    return information_of(chain, fitted, model, [source.sha256 for source in sources])
 
 
 def information_of(chain: Chain, fitted: Fitted, model: Model, hashes: Sequence[str]) -> Information | None:

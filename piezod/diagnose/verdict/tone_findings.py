@@ -9,11 +9,11 @@ from piezod.diagnose.candidates.direct import level_about
 from piezod.diagnose.candidates.tones import Tone
 from piezod.diagnose.findings import Finding, Value
 from piezod.diagnose.hypothesis.fit import Fitted
+from piezod.diagnose.hypothesis.record import place_of
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.selection.search_state import Search
 from piezod.diagnose.selection.tone_search import TONE_CHANGE
 from piezod.diagnose.verdict.evidence import NORMAL_95, confidence_of, finding_about, given_values
-from piezod.diagnose.verdict.places import place_of
 from piezod.diagnose.verdict.verdict import held_out_rms, tone_power
 from piezod.effects import EFFECTS
 from piezod.model import Model
