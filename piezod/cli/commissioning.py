@@ -94,7 +94,7 @@ def investigate(
     from piezod.commissioning.investigate import Drive, Step, step_text
     from piezod.commissioning.investigate import investigate as steps_of
     from piezod.report.diagnosis.page import write_diagnosis_page
-    from piezod.report.next_step import after_investigate
+    from piezod.report.next_step.of_benches import after_investigate
     from piezod.report.progress import steps
 
     def agreed(drive: Drive) -> bool:

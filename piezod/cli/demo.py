@@ -24,7 +24,7 @@ def demo(
 ) -> None:
     """Run all steps on the emulated bench, without hardware or root rights, in about 75 s."""
     from piezod.commissioning.demo import run_demo
-    from piezod.report.next_step import after_demo
+    from piezod.report.next_step.of_benches import after_demo
     from piezod.report.tracking.demo import evaluate_demo, live_line, print_demo, write_demo_page
     from piezod.report.tracking.hidden import print_hidden
 

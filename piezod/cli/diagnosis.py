@@ -102,9 +102,8 @@ def diagnose(
             from piezod.diagnose.selection.replay import write_replay
 
             write_replay(replay, diagnosis.attempts)
-        from piezod.report.diagnosis.next import next_after
         from piezod.report.diagnosis.page import write_diagnosis_page
-        from piezod.report.diagnosis.terminal import print_findings
+        from piezod.report.diagnosis.terminal import next_after, print_findings
 
         step = next_after(diagnosis, recordings, model, output, from_bench)
         show("drawing the report", None)
@@ -162,7 +161,7 @@ def what_is_testable(
     if planned is not None and next_file is not None:
         write_recording(planned.recording(plant.input.channel), next_file)
     unit = plant.output.unit
-    from piezod.report.next_step import after_testable
+    from piezod.report.next_step.of_models import after_testable
 
     step = after_testable(
         recordings, model, next_file, planned=planned is not None, open_pairs=bool(result.groups() or result.unseen)
@@ -185,7 +184,7 @@ def effects(
     """List the physical effects that a diagnosis can find, or describe one of them."""
     from piezod.effects import EFFECTS
     from piezod.report.effects import effect_as_dict, effect_named, effect_page, effects_table
-    from piezod.report.next_step import after_effects
+    from piezod.report.next_step.of_studies import after_effects
 
     chosen = None if name is None else effect_named(name)
     step = after_effects(name, next(iter(EFFECTS)))

@@ -60,7 +60,7 @@ def history(
     from piezod.history.timeline import timeline_of
     from piezod.history.trends import estimates_of, trends_of
     from piezod.history.words import step_clauses, verdict_of
-    from piezod.report.next_step import after_history
+    from piezod.report.next_step.of_studies import after_history
 
     timeline, checks = timeline_of(models), find_checks(models)
     estimates = estimates_of([check.dated for check in checks])

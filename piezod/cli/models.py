@@ -199,7 +199,7 @@ def simulate(
     simulation = simulate_recording(plant, loaded.recording, start_window, chosen, loaded.sha256)
     write_recording(simulation.recording, output)
     figures = simulation.agreement
-    from piezod.report.next_step import after_simulate
+    from piezod.report.next_step.of_models import after_simulate
 
     step = after_simulate(
         recording,
@@ -261,7 +261,7 @@ def compare(
     from piezod.report.comparison.output_page import comparison_as_dict, comparison_text, write_comparison_page
 
     comparison = compare_files(recordings[0], recordings[1:], model or (), output_column, start_window)
-    from piezod.report.next_step import after_compare
+    from piezod.report.next_step.of_models import after_compare
 
     best = comparison.best
     is_model = best.path in (model or ())
@@ -299,7 +299,7 @@ def resid(
     residual = residual_of(plant, loaded.recording, start_window, loaded.sha256)
     test = whiteness_test(loaded.recording, residual, plant.input.channel, lags)
     unit = plant.output.unit
-    from piezod.report.next_step import after_resid
+    from piezod.report.next_step.of_models import after_resid
 
     step = after_resid(recording, model, white=not test.auto_outside, independent=not test.cross_outside)
     if report is not None:
@@ -344,7 +344,7 @@ def validate_models(
     check_page(report)
     load_bench(config)  # a wrong file is refused before the libraries are there
     from piezod.commissioning.validate import plan_validation, run_validation
-    from piezod.report.next_step import after_validate
+    from piezod.report.next_step.of_benches import after_validate
     from piezod.report.progress import progress
     from piezod.report.tracking.validation import evaluate_validation, validation_text, write_validation_page
 

@@ -53,7 +53,7 @@ def record(
     """
     record_to_file(config, excitation, output, peak, frequency, periods, reset_cycle=reset_cycle, force=force)
     from piezod.config import load_bench, model_path
-    from piezod.report.next_step import after_record
+    from piezod.report.next_step.of_benches import after_record
 
     model = model_path(load_bench(config), config)
     print_next(after_record(output, config, model, model_exists=model.exists()))
@@ -132,7 +132,7 @@ def convert(
     from piezod.recording import TextOptions, check_absent, check_recording_target
     from piezod.recording import convert as convert_file
     from piezod.recording.formats.repairs import repair_notes
-    from piezod.report.next_step import after_convert
+    from piezod.report.next_step.of_benches import after_convert
 
     check_recording_target(output, [recording])
     check_absent(output, force=force)

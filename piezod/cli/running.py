@@ -48,7 +48,7 @@ def run(
     result = run_foreground(config, arm=arm)
     if as_json or arm:
         from piezod.config import load_bench
-        from piezod.report.next_step import after_run
+        from piezod.report.next_step.of_benches import after_run
 
         drifted = bool(result.drift and result.drift["drifted"])
         step = after_run(config, load_bench(config).recordings_path, fault=result.outcome.fault, drifted=drifted)
@@ -69,7 +69,7 @@ def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, f
     from piezod.commissioning.sequence import make_folder, plan_sequence, run_sequence
     from piezod.config import model_path
     from piezod.recording import write_recording
-    from piezod.report.next_step import after_sequence
+    from piezod.report.next_step.of_benches import after_sequence
     from piezod.report.progress import progress
 
     plan = plan_sequence(config, path)
@@ -113,7 +113,7 @@ def status(config: DaemonArgument = None, socket: SocketOption = None, as_json: 
     """Print the state of the running daemon."""
     from piezod.daemon.client import command_and_wait, find_socket
     from piezod.daemon.status import status_text
-    from piezod.report.next_step import after_status
+    from piezod.report.next_step.of_benches import after_status
 
     answer = command_and_wait(find_socket(config, socket), "status", wait=False)
     step = after_status(answer)

@@ -52,7 +52,7 @@ def check(
 def _after_check(config: Path, failed: list[str]) -> "NextStep":
     """Next step after `piezod check`, with the names of the failed checks."""
     from piezod.config import load_bench, model_path
-    from piezod.report.next_step import after_check
+    from piezod.report.next_step.of_benches import after_check
 
     exists = "configuration" in failed or model_path(load_bench(config), config).exists()
     return after_check(config, failed, model_exists=exists)
@@ -62,7 +62,7 @@ def _prove(config: Path, output: Path | None, tester: str, as_json: bool) -> Non
     """Run the proof test, print its steps and end with 1 unless all have passed."""
     from piezod.commissioning.proof import prove
     from piezod.commissioning.proof.record import text_lines
-    from piezod.report.next_step import after_proof
+    from piezod.report.next_step.of_benches import after_proof
 
     record, path = prove(config, output, tester)
     step = after_proof(config, passed=bool(record["passed"]))
@@ -109,7 +109,7 @@ def init(
     from piezod.commissioning.wizard import ask_missing
 
     if discover:
-        from piezod.report.next_step import after_discover
+        from piezod.report.next_step.of_benches import after_discover
 
         found, step = discovered(host, port, unit_id), after_discover(host, port)
         content = {"schema": "piezod.discover/1", "found": found, "next_step": step.as_dict()}
@@ -127,7 +127,7 @@ def init(
     made = draft_bench(profile, answers, output)
     identity = probe_device(made.bench) if probe else []
     write_bench(made, force=force)
-    from piezod.report.next_step import after_init
+    from piezod.report.next_step.of_benches import after_init
 
     step = after_init(output)
     if as_json:
@@ -174,7 +174,7 @@ def config_show(config: ConfigArgument, as_json: JsonOption = False) -> None:
 def config_check(config: ConfigArgument, as_json: JsonOption = False) -> None:
     """Validate a bench file, without access to a device."""
     from piezod.config import load_bench, model_path
-    from piezod.report.next_step import after_config_check
+    from piezod.report.next_step.of_benches import after_config_check
 
     bench = load_bench(config)
     model = model_path(bench, config)
@@ -218,7 +218,7 @@ def latency(
     from piezod.commissioning.slow_machine import limits_block, suggested_limits
     from piezod.config import RealTimeConfig
     from piezod.control.latency import RATES_HZ, measure_lateness, rate_held_Hz
-    from piezod.report.next_step import after_latency
+    from piezod.report.next_step.of_benches import after_latency
     from piezod.session.history import percentiles
 
     measured = [measure_lateness(rate_Hz, seconds, RealTimeConfig()) for rate_Hz in rate or RATES_HZ]

@@ -60,7 +60,7 @@ def blind_make(
         )
     from piezod.blind.study import make_study
     from piezod.diagnose.hypothesis.parallel import core_count
-    from piezod.report.next_step import after_blind_make
+    from piezod.report.next_step.of_studies import after_blind_make
     from piezod.report.progress import steps
 
     options = {
@@ -100,7 +100,7 @@ def blind_run(
     """Identify, diagnose and simulate every case of a study; an interrupted run continues."""
     from piezod.blind.run import run_study
     from piezod.blind.verdict import Verdict
-    from piezod.report.next_step import after_blind_run
+    from piezod.report.next_step.of_studies import after_blind_run
     from piezod.report.progress import steps
 
     if jobs is not None and scheduler is not None:
@@ -128,7 +128,7 @@ def blind_score(
 ) -> None:
     """Open the sealed truth and score the verdicts."""
     from piezod.blind.study import score_study
-    from piezod.report.next_step import after_blind_score
+    from piezod.report.next_step.of_studies import after_blind_score
 
     print(score_study(directory, verdicts, as_json=as_json, partial=partial), end="")
     if not as_json:

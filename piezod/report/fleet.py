@@ -15,7 +15,8 @@ from piezod.history.parameters import Key
 from piezod.history.words import interval, wording_of
 from piezod.report.figures.layout import apply_layout
 from piezod.report.history import value_range, write_history_page
-from piezod.report.next_step import UNFINISHED, NextStep, after_fleet
+from piezod.report.next_step import NextStep
+from piezod.report.next_step.of_studies import UNFINISHED, after_fleet
 from piezod.report.page import Part, head_html, next_step_html, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 from piezod.report.text_table import text_table

@@ -18,7 +18,8 @@ from piezod.recording import Recording
 from piezod.report.dynamics import dynamics
 from piezod.report.figures.layout import decimated, finish_figure
 from piezod.report.figures.thinning import robust_range
-from piezod.report.next_step import NextStep, after_identify
+from piezod.report.next_step import NextStep
+from piezod.report.next_step.of_models import after_identify
 from piezod.report.page import Part, axis_label, head_html, next_step_html, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 

@@ -17,7 +17,8 @@ from piezod.recording import Recording
 from piezod.report.figures.durations import EDGES_us, bars, histogram
 from piezod.report.figures.layout import finish_figure
 from piezod.report.figures.thinning import broken_at_gaps, envelope, envelope_times, extremes
-from piezod.report.next_step import NextStep, after_report
+from piezod.report.next_step import NextStep
+from piezod.report.next_step.of_benches import after_report
 from piezod.report.page import Part, axis_label, head_html, next_step_html, table_html, write_page
 from piezod.report.run_facts import drifted_at, fact_rows, share_text
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED

@@ -1,11 +1,15 @@
-"""Text of a diagnosis for a terminal."""
+"""Text of a diagnosis for a terminal, and the next step after it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from piezod.diagnose.findings import Finding
 from piezod.diagnose.judgement import Diagnosis
 from piezod.diagnose.verdict.words import Wording, confidence_words, label_of, law_words, place_words, value_words
+from piezod.model import without_inverse
 from piezod.report.diagnosis.wording import SCOPES
+from piezod.report.next_step import NextStep
+from piezod.report.next_step.of_models import after_diagnose
 
 
 def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
@@ -50,3 +54,27 @@ def _print_effect(finding: Finding, wording: Wording) -> None:
     for rival in finding.rivals:
         difference = f"predictions differ by {rival.separation:.2g} times the noise"
         print(f"    rival {rival.name}: {difference}; to distinguish them: {rival.separate_by}")
+
+
+def next_after(
+    diagnosis: Diagnosis, recordings: Sequence[Path], model: Path, folder: Path, bench: Path | None = None
+) -> NextStep:
+    """Next step after a diagnosis.
+
+    Parameters
+    ----------
+    recordings, model, folder
+        Files of the diagnosis, and the folder of its result.
+    bench
+        Bench file; None: not named.
+    """
+    written = diagnosis.model
+    return after_diagnose(
+        diagnosis.findings,
+        recordings,
+        model,
+        folder,
+        refused=without_inverse(written),
+        bench=bench,
+        drives_a_bench=(written.input.unit, written.output.unit) == ("V", "N"),
+    )

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from piezod.report.next_step.step import AT_NOISE, BENCH, LATER, RICH, NextStep, command, model_line
+from piezod.report.next_step import AT_NOISE, BENCH, LATER, RICH, NextStep, command, model_line
 
 MANY_MISSED = 0.01  # share of missed ticks from which they explain an error
 

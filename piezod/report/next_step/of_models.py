@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from piezod.report.next_step.step import (
+from piezod.report.next_step import (
     AT_NOISE,
     BENCH,
     CLOSE,

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from piezod.report.next_step.step import BENCH, LATER, RICH, NextStep, command, model_line
+from piezod.report.next_step import BENCH, LATER, RICH, NextStep, command, model_line
 
 UNFINISHED = ("unexplained", "partly_explained")  # verdicts that leave something to find
 ANOTHER_STUDY = 60  # cases: two hours of one core
