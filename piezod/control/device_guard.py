@@ -31,7 +31,7 @@ CAUSES = {
     ExchangeResult.WRONG_LOAD_CELL: Cause.WRONG_LOAD_CELL,
     ExchangeResult.SETTING_CHANGED: Cause.SETTING_CHANGED,
     ExchangeResult.FOREIGN_COMMAND: Cause.FOREIGN_COMMAND,
-    ExchangeResult.SETPOINT_CHANGED: Cause.READBACK,
+    ExchangeResult.SETPOINT_CHANGED: Cause.SETPOINT_CHANGED,
 }
 
 

@@ -58,6 +58,7 @@ class Cause(IntEnum):
     TEMPERATURE_SENSOR = 36
     BAD_EXCHANGES = 37
     FOREIGN_COMMAND = 38
+    SETPOINT_CHANGED = 39
 
 
 CAUSE_TEXT = {
@@ -103,6 +104,8 @@ CAUSE_TEXT = {
     Cause.TEMPERATURE_SENSOR: "the temperature is missing, below limits.temperature_low_degC, or frozen; check its "
     "sensor and cable",
     Cause.BAD_EXCHANGES: "too many failed exchanges (limits.failed_exchanges); check cable, device and timeout_s",
+    Cause.SETPOINT_CHANGED: "the set point in the device is not the one written; look for a second master or a device "
+    "that ignores writes",
     Cause.FOREIGN_COMMAND: "the device received commands of another program; end it, then arm again",
 }
 

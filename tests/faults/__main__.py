@@ -7,7 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from tests.faults import blocked_stops, kills, replies, run
+from tests.faults import blocked_stops, interlocks, kills, replies, run
 from tests.faults.bench_pool import open_bench_pool, raised_priority
 from tests.faults.probe import Probe
 
@@ -16,7 +16,8 @@ def main() -> int:
     """Run the chosen study; returns 1 when a fault was not survived."""
     faulthandler.enable()
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
-    studies = parser.add_subparsers(dest="what", required=True)
+    parser.add_argument("--mutate", nargs="*", metavar="NAME", help="take each interlock out: its rows must fail")
+    studies = parser.add_subparsers(dest="what")
     listed = studies.add_parser("list", help="every fault of faults.yaml")
     listed.add_argument("ids", nargs="*", metavar="ID", help="ids such as T3 V6; default: all")
     listed.add_argument("--json", type=Path, metavar="FILE", help="also write the results as JSON")
@@ -28,8 +29,10 @@ def main() -> int:
     stopped.add_argument("--times", type=int, default=20, help="number of stops under each blockade")
     stopped.add_argument("names", nargs="*", help=f"of {', '.join(blocked_stops.BLOCKADES)}; default: all")
     options = parser.parse_args()
+    if options.mutate is None and options.what is None:
+        parser.error("name a study, or --mutate")
     begun_s = time.monotonic()
-    code = {"list": _list, "kills": _kills, "replies": _replies, "stops": _stops}[options.what](options)
+    code = {None: _mutate, "list": _list, "kills": _kills, "replies": _replies, "stops": _stops}[options.what](options)
     print(f"in {time.monotonic() - begun_s:.0f} s")
     return code
 
@@ -59,6 +62,10 @@ def _list(options) -> int:
         ]  # fmt: skip
         options.json.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
     return 1 if any(result.problems for result in results) else 0
+
+
+def _mutate(options) -> int:
+    return interlocks.mutate(options.mutate)
 
 
 def _kills(options) -> int:

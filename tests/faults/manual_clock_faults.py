@@ -9,6 +9,7 @@ import numpy as np
 
 from piezod.config import RealTimeConfig
 from piezod.control import State, real_time
+from piezod.errors import CheckFailedError
 from piezod.transport.modbus import ModbusLink
 from tests.contract.judged_bench import FaultyWire
 from tests.faults.bench_pool import Observation
@@ -98,6 +99,21 @@ def loop_pattern(pool, fault, *, force_N, wrong, right, limits=None, most_ms=10_
         begun_ns, count = bench.clock.time_ns, itertools.count()
         bench.wire.lie = lambda true_N: float(force_N) if next(count) % (wrong + right) < wrong else true_N
         return _observe(bench, fault, most_ms=most_ms, begun_ns=begun_ns)
+
+
+def loop_arming(pool, fault, *, forces_N):
+    """Arm while the load cell gives these forces in turn, the last one from then on."""
+    forces = iter(forces_N)
+    with _manual_clock_bench() as bench:
+        bench.wire.lie = lambda _: float(next(forces, forces_N[-1]))
+        refusal = ""
+        try:
+            bench.arm()
+        except CheckFailedError as error:
+            refusal = str(error)
+        observed = _observe(bench, fault, most_ms=10)
+        observed.text += refusal
+        return observed
 
 
 def loop_status(pool, fault, *, status, limits, most_ms=3000):
@@ -264,6 +280,7 @@ INJECTORS = {
     "loop_reading": loop_reading,
     "loop_pattern": loop_pattern,
     "loop_second_master": loop_second_master,
+    "loop_arming": loop_arming,
     "loop_status": loop_status,
     "loop_refused": loop_refused,
     "loop_out_of_reach": loop_out_of_reach,

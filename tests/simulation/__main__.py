@@ -27,7 +27,7 @@ def main():
     if wanted.holes:
         return each_hole(wanted)
     if wanted.hole:
-        put_back(wanted.hole)
+        put_back(HOLES[wanted.hole])
     from tests.simulation.runs import run, warm_up
     from tests.simulation.shrinking import shrink
 

@@ -21,6 +21,7 @@ class Hole:
     now: str
     then: str
     source: str  # where the hole is listed or was mended
+    rows: tuple[str, ...] = ()  # of the fault list, that find it
 
     def code(self, path):
         """Code of the module with the hole.
@@ -195,9 +196,8 @@ class Finder(MetaPathFinder):
         return spec
 
 
-def put_back(name):
+def put_back(hole):
     """Open a hole for the modules that are loaded from now on."""
-    hole = HOLES[name]
     if hole.module in sys.modules:
         raise ImportError(f"{hole.module} is loaded already")
     sys.meta_path.insert(0, Finder(hole))

@@ -31,7 +31,9 @@ def _steps(time_s, steps):
 
 def _running(inject, fault_s):
     before = (_steps(fault_s - 0.2, inject["before"]),) if "before" in inject else ()
-    return [Case((Event(ARMED_S, "arm"), *before, _steps(fault_s, inject["steps"])), fault_s)]
+    changes = [(section, *one) for section, new in inject.get("changes", {}).items() for one in new.items()]
+    events = (Event(ARMED_S, "arm"), *before, _steps(fault_s, inject["steps"]))
+    return [Case(events, fault_s, settings={"changes": tuple(changes)} if changes else {})]
 
 
 def _variants(inject, fault_s):

@@ -114,7 +114,7 @@ def test_every_register_is_read_at_once_after_a_failed_exchange(subject, supervi
         (ExchangeResult.SETTING_CHANGED, Cause.SETTING_CHANGED, State.RAMP_DOWN),
         (ExchangeResult.WRONG_LOAD_CELL, Cause.WRONG_LOAD_CELL, State.RAMP_DOWN),
         (ExchangeResult.FOREIGN_COMMAND, Cause.FOREIGN_COMMAND, State.RAMP_DOWN),
-        (ExchangeResult.SETPOINT_CHANGED, Cause.READBACK, State.RAMP_DOWN),
+        (ExchangeResult.SETPOINT_CHANGED, Cause.SETPOINT_CHANGED, State.RAMP_DOWN),
         (ExchangeResult.WRONG_DEVICE, Cause.WRONG_DEVICE, State.FAULT),  # no ramp: nothing is written to it
     ],
 )
