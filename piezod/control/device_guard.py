@@ -26,14 +26,6 @@ voltage that the readback shows is found. It costs 20 exchanges a second, in fre
 
 _OK, _UNVERIFIED = int(ExchangeResult.OK), int(ExchangeResult.UNVERIFIED)  # plain integers compare faster
 
-CAUSES = {
-    ExchangeResult.WRONG_DEVICE: Cause.WRONG_DEVICE,
-    ExchangeResult.WRONG_LOAD_CELL: Cause.WRONG_LOAD_CELL,
-    ExchangeResult.SETTING_CHANGED: Cause.SETTING_CHANGED,
-    ExchangeResult.FOREIGN_COMMAND: Cause.FOREIGN_COMMAND,
-    ExchangeResult.SETPOINT_CHANGED: Cause.SETPOINT_CHANGED,
-}
-
 
 class DeviceGuard:
     """Reads one register at a time, and trips when the device is another or has lost a setting.
@@ -65,9 +57,9 @@ class DeviceGuard:
         self._compare_ns = self._compared_ns = 0  # when the command is compared again, and was compared
 
     def evaluate(self, result: int) -> None:
-        """Trip where the result of an exchange or a read names another device or a changed setting."""
+        """Trip where a result names another device or a changed setting; the cause has its name."""
         if result > _UNVERIFIED:
-            self._supervisor.trip(CAUSES[ExchangeResult(result)])
+            self._supervisor.trip(Cause[ExchangeResult(result).name])
 
     def end_tick(self, result: int, begun_ns: int, done_ns: int) -> None:
         """Read the next register when it is due and the rest of the tick is long enough.

@@ -13,7 +13,7 @@ import time
 import yaml
 
 from tests.faults.bench_pool import InjectionUnavailableError, Observation, run_piezod
-from tests.faults.live_bench import DAEMON_ROOT, LiveBench, Service
+from tests.faults.live_bench import DAEMON_ROOT, LiveBench
 from tests.faults.running_faults import Watch
 
 
@@ -215,49 +215,6 @@ def full_file_system(pool, fault, *, size):
     return observed
 
 
-def failed_start_with_clients(pool, fault, *, times):
-    """Start without a device, `times` times, while clients connect all the time."""
-    bench = pool.bench()
-    codes, texts, begun_s = [], [], time.monotonic()
-    for _ in range(times):
-        folder = pool.new_folder()
-        content = yaml.safe_load(bench.path.read_text(encoding="utf-8"))
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            content["link"]["port"] = free.getsockname()[1]
-        content["daemon"] = {"ring_log": str(folder / "ring")}
-        path = folder / "bench.yaml"
-        path.write_text(yaml.safe_dump(content), encoding="utf-8")
-        ended = threading.Event()
-        crowd = threading.Thread(target=_connect_all_the_time, args=(str(folder / "ring.sock"), ended))
-        crowd.start()
-        try:
-            code, text, _ = run_piezod("run", path, "--arm")
-        finally:
-            ended.set()
-            crowd.join()
-        codes.append(code)
-        texts.append(text)
-    text = "\n".join(texts)
-    observed = Observation("none", max(codes), text, 1e3 * (time.monotonic() - begun_s) / times)
-    observed.figures["tracebacks"] = text.count("Traceback (most recent call last)")
-    return observed
-
-
-def _connect_all_the_time(path, ended):
-    clients = []
-    while not ended.wait(0.0005):
-        client = socket.socket(socket.AF_UNIX)
-        client.setblocking(False)
-        with contextlib.suppress(OSError):
-            client.connect(path)
-        clients.append(client)
-        if len(clients) > 12:
-            clients.pop(0).close()
-    for client in clients:
-        client.close()
-
-
 def masked(pool, fault, *, umask):
     """Start with a umask, and read the modes of the run-time files."""
     folder = pool.new_folder()
@@ -278,41 +235,9 @@ def masked(pool, fault, *, umask):
     return observed
 
 
-def shared_device(pool, fault, *, host):
-    """Start a second bench file, with another name and another ring log, for the device of a driving bench."""
-    bench = pool.bench()
-    bench.arm()
-    watch = Watch(bench)
-    folder = pool.new_folder()
-    content = yaml.safe_load(bench.path.read_text(encoding="utf-8"))
-    content |= {"name": "another", "daemon": {"ring_log": str(folder / "ring")}}
-    content["link"]["host"] = host
-    path = folder / "bench.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    begun_s = time.monotonic()
-    service = Service(path)
-    try:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            service.process.wait(timeout=8.0)
-        observed = Observation(exit_code=service.process.poll(), text=service.log())
-        observed.after_ms = 1e3 * (time.monotonic() - begun_s)
-        observed.figures["names_the_holder"] = float(f"process {bench.service.process.pid} " in observed.text)
-    finally:
-        service.close()
-    text, after_ms = observed.text, observed.after_ms
-    watch.until(("RUNNING",), 0.1, fault.within_ms)
-    watch.finish(observed)
-    observed.text, observed.after_ms = text, after_ms
-    bench.restore()
-    observed.armings = bench.rearms
-    return observed
-
-
 INJECTORS = {
     "crowded": crowded,
     "existing_files": existing_files,
     "full_file_system": full_file_system,
-    "failed_start_with_clients": failed_start_with_clients,
     "masked": masked,
-    "shared_device": shared_device,
 }

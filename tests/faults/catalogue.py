@@ -1,7 +1,7 @@
 """The list of faults of `faults.yaml`, read strictly: an unknown key, injector or parameter is an error."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -130,8 +130,10 @@ class FaultList(Section):
         return self
 
 
-def load_faults(injectors: Mapping[str, Callable[..., Any]], path: Path = LIST) -> tuple[Fault, ...]:
-    """Read the list.
+def load_faults(
+    injectors: Mapping[str, Callable[..., Any]], path: Path = LIST, simulated: Collection[str] = ()
+) -> tuple[Fault, ...]:
+    """Read the list: the faults of these injectors; those of an injector that is simulated only are left out.
 
     Raises
     ------
@@ -140,7 +142,8 @@ def load_faults(injectors: Mapping[str, Callable[..., Any]], path: Path = LIST) 
     ValueError
         An injector or one of its parameters does not exist.
     """
-    faults = check(read_document(path), FaultList).faults
+    elsewhere = {*simulated} - {*injectors}
+    faults = tuple(one for one in check(read_document(path), FaultList).faults if one.inject.get("by") not in elsewhere)
     for fault in faults:
         where = f"{path.name}: {fault.id}.inject"
         if fault.inject.get("by") not in injectors:

@@ -22,6 +22,7 @@ from tests.faults.bench_pool import InjectionUnavailableError, Observation
 from tests.faults.catalogue import Fault, load_faults
 from tests.faults.kills import READY_WITHIN_MS
 from tests.faults.probe import STILL_MS
+from tests.simulation.row_cases import INJECTORS as SIMULATED
 
 INJECTORS: dict[str, Callable] = {
     **running_faults.INJECTORS,
@@ -111,8 +112,8 @@ class Result:
 
 
 def faults() -> tuple[Fault, ...]:
-    """The listed faults, checked against the injectors."""
-    return load_faults(INJECTORS)
+    """The listed faults that run outside the simulation, checked against the injectors."""
+    return load_faults(INJECTORS, simulated=SIMULATED)
 
 
 def run(fault: Fault, pool, probe) -> Result:

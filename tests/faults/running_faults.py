@@ -19,7 +19,6 @@ import numpy as np
 from pymodbus.client import ModbusTcpClient
 
 from piezod.control import State
-from piezod.errors import PiezodError
 from piezod.transport import ExchangeResult
 from tests.faults.bench_pool import InjectionUnavailableError, Observation
 from tests.faults.forgeries import MARK_N
@@ -58,26 +57,6 @@ def variants(pool, fault, *, each, **more):
     worst = max(observed, key=lambda one: (bool(one.deviations(fault)), one.after_ms))
     worst.figures["variants"] = len(observed)
     return worst
-
-
-def arming(pool, fault, *, steps, wire="tcp"):
-    """Do the steps while disarmed, then arm."""
-    bench = pool.bench(wire)
-    observed = Observation()
-    for step in steps:
-        do(bench, step)
-    watch = Watch(bench)
-    refusal = ""
-    try:
-        bench.send_command("arm")
-    except PiezodError as error:
-        refusal = str(error)
-    watch.until(fault.expect.states, 1.0, fault.within_ms)
-    watch.finish(observed)
-    observed.text += refusal
-    bench.restore()
-    observed.armings = bench.rearms
-    return observed
 
 
 def disarmed(pool, fault, *, steps, wire="tcp", for_s=1.0):
@@ -388,4 +367,4 @@ STEPS = {
     "wait_s": lambda _bench, duration_s: time.sleep(duration_s),
 }
 
-INJECTORS = {"running": running, "variants": variants, "arming": arming, "disarmed": disarmed}
+INJECTORS = {"running": running, "variants": variants, "disarmed": disarmed}

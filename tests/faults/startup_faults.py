@@ -6,10 +6,8 @@ import shutil
 import socket
 import subprocess
 import sys
-import textwrap
 import time
 
-import numpy as np
 import yaml
 
 from piezod.config import load_bench
@@ -185,67 +183,6 @@ def _run(*arguments):
         raise InjectionUnavailableError(f"{' '.join(arguments)}: {done.stderr.strip()[:80]}")
 
 
-CLOCK_THAT_JUMPS = """
-    #define _GNU_SOURCE
-    #include <time.h>
-    #include <sys/syscall.h>
-    #include <unistd.h>
-    int clock_gettime(clockid_t id, struct timespec *now)
-    {
-        struct timespec up;
-        int failed = syscall(SYS_clock_gettime, id, now);
-        if (!failed && id == CLOCK_REALTIME) {
-            syscall(SYS_clock_gettime, CLOCK_MONOTONIC, &up);
-            now->tv_sec += up.tv_nsec / 250000000 % 2 ? 3600 : -3600;
-        }
-        return failed;
-    }
-"""
-
-
-def wall_clock(pool, fault, *, for_s=2.0):
-    """Run a daemon whose wall clock jumps by two hours, four times a second."""
-    compiler = shutil.which("cc")
-    if compiler is None:
-        raise InjectionUnavailableError("no C compiler to build the jumping clock with")
-    folder = pool.new_folder()
-    (folder / "clock.c").write_text(textwrap.dedent(CLOCK_THAT_JUMPS), encoding="ascii")
-    library = folder / "clock.so"
-    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, folder / "clock.c"], check=True)
-    environment = os.environ | {"LD_PRELOAD": str(library)}
-    program = "import time; e=time.monotonic()+.6; t=[]\nwhile time.monotonic()<e: t.append(time.time())\n"
-    program += "print(max(t)-min(t))"
-    jumped = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
-    )
-    with _own_bench(pool) as bench:
-        bench.environment = {"LD_PRELOAD": str(library)}
-        bench.restore()
-        bench.arm()
-        watch, observed = Watch(bench), Observation()
-        watch.until(fault.expect.states, for_s, fault.within_ms)
-        watch.finish(observed)
-        rows = np.concatenate(watch.parts)
-        observed.figures["clock_jumped_s"] = float(jumped.stdout)
-        observed.figures["lasted_s"] = float(rows["time_ns"][-1] - rows["time_ns"][0]) * 1e-9
-        bench.restore()
-        observed.armings = bench.rearms
-    return observed
-
-
-def skewed_device(pool, fault, *, for_s=1.5):
-    """Run with a device whose clock has a rate error."""
-    with _own_bench(pool, {"effects": ["clock_skew"]}) as bench:
-        bench.restore()
-        bench.arm()
-        watch, observed = Watch(bench), Observation()
-        watch.until(fault.expect.states, for_s, fault.within_ms)
-        watch.finish(observed)
-        bench.restore()
-        observed.armings = bench.rearms
-    return observed
-
-
 def _answers_within(link, seconds):
     """Poll as the loop does, which stands a single late reply, and return whether one was good in this time."""
     end_s = time.monotonic() + seconds
@@ -293,7 +230,5 @@ INJECTORS = {
     "one_client_only": one_client_only,
     "port_taken": port_taken,
     "cable": cable,
-    "wall_clock": wall_clock,
-    "skewed_device": skewed_device,
     "moved_name": moved_name,
 }

@@ -2,7 +2,6 @@
 
 import contextlib
 import hmac
-import os
 import socket
 import struct
 import threading
@@ -72,11 +71,11 @@ class Sender:
 
 
 @contextlib.contextmanager
-def _streamed_bench(pool, **keys):
+def _streamed_bench(pool):
     """A bench that follows a stream, and the path of its socket."""
     folder = pool.new_folder()
     path = folder / "stream"
-    reference = {"kind": "stream", "listen": str(path), "stale_after_s": 0.2, "when_stale": "hold"} | keys
+    reference = {"kind": "stream", "listen": str(path), "stale_after_s": 0.2, "when_stale": "hold"}
     bench = LiveBench(folder, None, {"reference": reference})
     try:
         bench.restore()
@@ -93,47 +92,6 @@ def _end(bench, observed):
     bench.restore()
     observed.armings = bench.rearms
     return observed
-
-
-def stale_stream(pool, fault, *, count, rest_s, arm_s):
-    """Send datagrams to a disarmed bench, end the sender, and arm later."""
-    with _streamed_bench(pool) as (bench, path):
-        sender = Sender(path)
-        for _ in range(count):
-            sender.send(250.0)
-            time.sleep(0.001)
-        time.sleep(rest_s)
-        watch, observed = Watch(bench), Observation()
-        bench.send_command("arm")
-        time.sleep(arm_s)
-        watch.finish(observed)
-        return _end(bench, observed)
-
-
-def restarted_sender(pool, fault, *, first):
-    """Disarm, let the sender begin again at 1 after it had reached `first`, and arm."""
-    with _streamed_bench(pool) as (bench, path):
-        sender = Sender(path)
-        sender.sequence = first
-        sender.start()
-        bench.arm()
-        sender.stop()
-        bench.send_command("disarm")
-        bench.wait_state("DISARMED")
-        sender.sequence = 0
-        sender.start()
-        try:
-            begun_s = time.monotonic()
-            bench.send_command("arm")
-            watch, observed = Watch(bench), Observation()
-            while bench.status()["state"] not in ("RUNNING", "FAULT") and time.monotonic() < begun_s + 5.0:
-                time.sleep(0.02)
-            time.sleep(0.3)
-            watch.finish(observed)
-            observed.after_ms = 0.0
-        finally:
-            sender.stop()
-        return _end(bench, observed)
 
 
 def wild_datagrams(pool, fault, *, numbers=(), values=(), junk=0, seed=1, for_s=1.0):
@@ -168,32 +126,6 @@ def _count(bench, watch, observed):
     observed.figures["refused"] = sum(count for name, count in refused.items() if name != "accepted")
 
 
-def forged_stream(pool, fault, *, for_s=0.5):
-    """Forge, alter and repeat datagrams of a stream with a shared key, while its sender goes on."""
-    key_file = pool.new_folder() / "key"
-    key_file.write_text(KEY.hex(), encoding="ascii")
-    key_file.chmod(0o600)
-    with _streamed_bench(pool, key_file=str(key_file)) as (bench, path):
-        sender = Sender(path, KEY, session=5)
-        recorded = [sender.send(200.0) for _ in range(5)]
-        sender.start()
-        try:
-            bench.arm()
-            watch, observed = Watch(bench), Observation()
-            stranger = Sender(path, bytes(32), session=9)
-            for body in [*recorded, *(one[:32] + os.urandom(16) for one in recorded), *(one[:32] for one in recorded)]:
-                sender.send_bytes(body)
-                stranger.send(200.0)
-                time.sleep(0.01)
-            Sender(path).send(200.0, 10**6)
-            watch.until(fault.expect.states, for_s, fault.within_ms)
-            watch.finish(observed)
-            _count(bench, watch, observed)
-        finally:
-            sender.stop()
-        return _end(bench, observed)
-
-
 def absurd_file(pool, fault, *, value=100.0, gap_s=0.0, cut=0):
     """Start with a reference file that has one wrong value, a gap before its last row, or a last line cut short."""
     bench = pool.bench()
@@ -217,9 +149,6 @@ def absurd_file(pool, fault, *, value=100.0, gap_s=0.0, cut=0):
 
 
 INJECTORS = {
-    "stale_stream": stale_stream,
-    "restarted_sender": restarted_sender,
     "wild_datagrams": wild_datagrams,
-    "forged_stream": forged_stream,
     "absurd_file": absurd_file,
 }
