@@ -8,6 +8,7 @@ the pause after a tick costs one comparison: the loop neither polls the pipe nor
 
 A command that the parent has reported as failed must not act. Every command except `disarm` and `stop` therefore
 expires `VALID_FOR_S` after its request. The age of `arm` is checked after every precondition.
+A stop, by pipe or by signal, outranks every `arm` that has not acted, also one requested up to `OUTRANKED_FOR_S` later.
 The death of the parent closes the pipe: that requests a ramp down, and no error of the pipe ends it.
 """
 
@@ -21,6 +22,7 @@ from piezod.runtime import clock
 from piezod.transport import Link
 
 NEVER_EXPIRE = ("disarm", "stop")
+OUTRANKED_FOR_S = 2.0  # time after a stop in which `arm` is refused [s]: its time stamp may be later than the request
 VALID_FOR_S = 5.0  # age above which a command is refused [s]: half of the time that the parent waits for its answer
 
 
@@ -44,7 +46,7 @@ class CommandQueue:
         self._pipe, self._segment = pipe, segment
         self._announced = False
         self._urgent = ""
-        self._urged_ns = -1
+        self._urged_ns = self._stopped_ns = -(1 << 62)
 
     def urge(self, name: str) -> None:
         """Note `stop` or `disarm`, to be executed after this tick; called from a signal handler.
@@ -52,7 +54,7 @@ class CommandQueue:
         Every `arm` that was requested before expires now, even while it waits.
         """
         self._urgent = name if self._urgent != "stop" else "stop"
-        self._urged_ns = clock.monotonic_ns()
+        self._note_time(name)
         self._announced = True
 
     def notify(self) -> None:
@@ -76,8 +78,14 @@ class CommandQueue:
         if name:
             self._rest(name)
 
+    def _note_time(self, name: str) -> None:
+        self._urged_ns = clock.monotonic_ns()
+        if name == "stop":
+            self._stopped_ns = self._urged_ns
+
     def _rest(self, name: str) -> str:
         """Execute `stop` or `disarm`."""
+        self._note_time(name)
         supervisor = self._loop.supervisor
         supervisor.stop(fast=name == "stop")
         if name == "stop":
@@ -96,7 +104,8 @@ class CommandQueue:
 
     def _require_valid(self, name: str, requested_ns: int) -> None:
         """Refuse an expired command, and every command after the request to end."""
-        age_s = 1e-9 * (clock.monotonic_ns() - requested_ns)
+        now_ns = clock.monotonic_ns()
+        age_s = 1e-9 * (now_ns - requested_ns)
         if age_s > VALID_FOR_S:
             raise CheckFailedError(
                 f"{name}: {age_s:.1f} s have passed since the request, must be at most {VALID_FOR_S:g} s: the device "
@@ -104,6 +113,12 @@ class CommandQueue:
             )
         if name == "arm" and requested_ns <= self._urged_ns:
             raise CheckFailedError(f"{name}: a stop came after the request; nothing was done")
+        since_s = 1e-9 * (now_ns - self._stopped_ns)
+        if name == "arm" and since_s < OUTRANKED_FOR_S:
+            raise CheckFailedError(
+                f"{name}: a stop came {since_s:.2f} s ago, must be at least {OUTRANKED_FOR_S:g} s ago; nothing was "
+                "done, try again later"
+            )
         if self._loop.stopped:
             raise TemporaryError(f"{name}: the control process is ending; try again")
 

@@ -228,3 +228,20 @@ def test_a_stop_writes_nothing_where_a_command_could_do_harm_or_nothing_is_left(
     assert command("stop") == ("answer", (7, "ok", "FAULT: nothing is driven"))
     loop.run_tick()
     assert loop._link.voltages == []
+
+
+@pytest.mark.parametrize("channel", ["pipe", "signal"])
+def test_a_stop_refuses_every_arm_of_the_next_two_seconds(bench, monkeypatch, channel):
+    loop, command = bench
+    now_ns = [10**12]
+    monkeypatch.setattr(command_queue.clock, "monotonic_ns", lambda: now_ns[0])
+    if channel == "pipe":
+        command("stop")
+    else:
+        command.queue.urge("stop")
+    for after_ns in (760_000, 1_000_000_000, 1_999_000_000):
+        now_ns[0] = 10**12 + after_ns
+        assert "a stop came" in command("arm")[1][2]
+        assert loop.supervisor.state is State.DISARMED
+    now_ns[0] = 10**12 + 2_800_000_000
+    assert command("arm")[1][1] == "ok"
