@@ -8,21 +8,22 @@ the pause after a tick costs one comparison: the loop neither polls the pipe nor
 
 A command that the parent has reported as failed must not act. Every command except `disarm` and `stop` therefore
 expires `VALID_FOR_S` after its request. The age of `arm` is checked after every precondition.
-A stop, by pipe or by signal, outranks every `arm` that has not acted, also one requested up to `OUTRANKED_FOR_S` later.
+A stop, by pipe or by signal, outranks every `arm` that has not acted, also one requested up to `OUTRANKED_NS` later.
 The death of the parent closes the pipe: that requests a ramp down, and no error of the pipe ends it.
 """
 
 from multiprocessing.connection import Connection
 from typing import Any
 
-from piezod.config import BenchConfig, LimitsConfig
+from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, ControlLoop, Segment, State, check_ready
 from piezod.errors import CheckFailedError, PiezodError, TemporaryError
 from piezod.runtime import clock
 from piezod.transport import Link
 
 NEVER_EXPIRE = ("disarm", "stop")
-OUTRANKED_FOR_S = 2.0  # time after a stop in which `arm` is refused [s]: its time stamp may be later than the request
+OUTRANKED_NS = 2_000_000_000
+"""Time after a stop in which a requested `arm` is refused [ns]: its time stamp may be later than the request."""
 VALID_FOR_S = 5.0  # age above which a command is refused [s]: half of the time that the parent waits for its answer
 
 
@@ -46,7 +47,7 @@ class CommandQueue:
         self._pipe, self._segment = pipe, segment
         self._announced = False
         self._urgent = ""
-        self._urged_ns = self._stopped_ns = -(1 << 62)
+        self._arms_from_ns = 0
 
     def urge(self, name: str) -> None:
         """Note `stop` or `disarm`, to be executed after this tick; called from a signal handler.
@@ -54,7 +55,7 @@ class CommandQueue:
         Every `arm` that was requested before expires now, even while it waits.
         """
         self._urgent = name if self._urgent != "stop" else "stop"
-        self._note_time(name)
+        self._withdraw_arms(name)
         self._announced = True
 
     def notify(self) -> None:
@@ -66,26 +67,23 @@ class CommandQueue:
         if not self._announced:
             return
         self._announced = False
-        self._serve_urgent()
+        name, self._urgent = self._urgent, ""
+        if name:
+            self._rest(name)
         try:
             while self._pipe.poll():
                 self._serve(*self._pipe.recv())
         except (EOFError, OSError):  # the parent is gone, and its last command with it
             self._loop.request_stop()
 
-    def _serve_urgent(self) -> None:
-        name, self._urgent = self._urgent, ""
-        if name:
-            self._rest(name)
-
-    def _note_time(self, name: str) -> None:
-        self._urged_ns = clock.monotonic_ns()
-        if name == "stop":
-            self._stopped_ns = self._urged_ns
+    def _withdraw_arms(self, name: str) -> None:
+        """Refuse from now on each `arm` requested before this `disarm`, or within `OUTRANKED_NS` of this `stop`."""
+        from_ns = clock.monotonic_ns() + (OUTRANKED_NS if name == "stop" else 1)
+        self._arms_from_ns = max(self._arms_from_ns, from_ns)
 
     def _rest(self, name: str) -> str:
         """Execute `stop` or `disarm`."""
-        self._note_time(name)
+        self._withdraw_arms(name)
         supervisor = self._loop.supervisor
         supervisor.stop(fast=name == "stop")
         if name == "stop":
@@ -104,21 +102,14 @@ class CommandQueue:
 
     def _require_valid(self, name: str, requested_ns: int) -> None:
         """Refuse an expired command, and every command after the request to end."""
-        now_ns = clock.monotonic_ns()
-        age_s = 1e-9 * (now_ns - requested_ns)
+        age_s = 1e-9 * (clock.monotonic_ns() - requested_ns)
         if age_s > VALID_FOR_S:
             raise CheckFailedError(
                 f"{name}: {age_s:.1f} s have passed since the request, must be at most {VALID_FOR_S:g} s: the device "
                 "or this machine is slow; nothing was done, try again"
             )
-        if name == "arm" and requested_ns <= self._urged_ns:
-            raise CheckFailedError(f"{name}: a stop came after the request; nothing was done")
-        since_s = 1e-9 * (now_ns - self._stopped_ns)
-        if name == "arm" and since_s < OUTRANKED_FOR_S:
-            raise CheckFailedError(
-                f"{name}: a stop came {since_s:.2f} s ago, must be at least {OUTRANKED_FOR_S:g} s ago; nothing was "
-                "done, try again later"
-            )
+        if name == "arm" and requested_ns < self._arms_from_ns:
+            raise CheckFailedError("arm: a stop came after the request or less than 2 s before it; nothing was done")
         if self._loop.stopped:
             raise TemporaryError(f"{name}: the control process is ending; try again")
 
@@ -131,7 +122,9 @@ class CommandQueue:
             case "reset":
                 return self._reset()
             case "limits":
-                return self._change_limits(argument)
+                self._bench = self._bench.model_copy(update={"limits": argument})
+                self._loop.set_limits(argument)
+                return "limits taken"
             case "ring log":
                 self._loop.ring_log.restore()
                 return "ring log made again"
@@ -175,8 +168,3 @@ class CommandQueue:
         advice = "piezod reset first" if state is State.FAULT else "piezod disarm first"
         fault = f" ({CAUSE_TEXT[self._loop.supervisor.fault]})" if state is State.FAULT else ""
         raise CheckFailedError(f"{name}: state is {state.name}{fault}, must be DISARMED; {advice}")
-
-    def _change_limits(self, limits: LimitsConfig) -> str:
-        self._bench = self._bench.model_copy(update={"limits": limits})
-        self._loop.set_limits(limits)
-        return "limits taken"

@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from piezod.config import BenchConfig, model_path
+from piezod.config import model_path
 from piezod.control import (
     CAUSE_TEXT,
     Cause,
@@ -96,25 +96,25 @@ def _send(pipe: Connection, message: tuple[str, Any]) -> bool:
     return True
 
 
-def _execute(task: Task, pipe: Connection, shared: SharedMemory | None = None) -> Outcome:
+def _execute(task: Task, pipe: Connection, shared: SharedMemory) -> Outcome:
     """Connect the bench, build its loop, and drive the segments or serve commands."""
     bench = task.bench
     files = "" if task.serves is None else files_digest(bench, task.serves)
     model, specs = _model_and_segments(task)
-    bad_exchange = None if shared is None else shared.bad_exchange
-    with opened_link(bench, bad_exchange) as link, contextlib.ExitStack() as stack:
+    with opened_link(bench, shared.bad_exchange) as link, contextlib.ExitStack() as stack:
         clock = make_rate_keeper(bench, link)
         segments = [make_segment(spec, bench, model, link, task.folder) for spec in specs]
         for segment in segments:
             stack.callback(segment.reference.close)
-        if shared is not None and shared.correction is not None:
+        if shared.correction is not None:
             _correct_by(segments[0], shared.correction, task)
         if segments and task.serves is None:
             _warm_up(segments)
             check_ready(bench, link)
-        ring_log = _ring_log(bench)
+        rows = round(bench.daemon.ring_seconds * bench.rate_Hz)
+        ring_log = RingLog(bench.ring_log_path, rows, bench.daemon.socket_group)
         stack.callback(ring_log.close)
-        loop = make_loop(bench, link, clock, ring_log, None if shared is None else PhaseTimes(shared.phases))
+        loop = make_loop(bench, link, clock, ring_log, PhaseTimes(shared.phases))
         loop.supervisor.heat_W = task.heat_W
         for segment in segments[:1]:
             loop.observe(segment, ring_log)
@@ -129,8 +129,11 @@ def _execute(task: Task, pipe: Connection, shared: SharedMemory | None = None) -
         if not _send(pipe, ("ready", Ready(link.description, files))):
             loop.request_stop()
         with real_time(bench.real_time):
-            fault = _drive(loop, segments) if task.serves is None else _serve(loop, commands)
-        return _outcome(link, loop, fault, clock.missed)
+            if task.serves is None:
+                _drive(loop, segments)
+            else:
+                loop.serve(commands.serve_pending)
+        return _outcome(link, loop, clock.missed)
 
 
 def _correct_by(segment: Segment, cells: Any, task: Task) -> None:  # noqa: ANN401  # an array of ctypes
@@ -141,11 +144,6 @@ def _correct_by(segment: Segment, cells: Any, task: Task) -> None:  # noqa: ANN4
     segment.reference.correct_by(correction)
     if (earlier_N := LearnedFile(task.bench, task.serves, segment.reference).read()) is not None:
         correction.offer(earlier_N)
-
-
-def _ring_log(bench: BenchConfig) -> RingLog:
-    capacity = round(bench.daemon.ring_seconds * bench.rate_Hz)
-    return RingLog(bench.ring_log_path, capacity, bench.daemon.socket_group)
 
 
 def _model_and_segments(task: Task) -> tuple[Model | None, tuple[SegmentSpec, ...]]:
@@ -179,29 +177,22 @@ def _urge(name: str, task: Task, loop: ControlLoop, commands: CommandQueue) -> N
         commands.urge(name)
 
 
-def _serve(loop: ControlLoop, commands: CommandQueue) -> Cause:
-    loop.serve(commands.serve_pending)
-    return loop.supervisor.fault
-
-
-def _drive(loop: ControlLoop, segments: list[Segment]) -> Cause:
+def _drive(loop: ControlLoop, segments: list[Segment]) -> None:
     """Drive the segments until the last one, a stop, or a fault; without segments only read."""
     if not segments:
         loop.watch()
     for segment in segments:
-        fault = loop.drive(segment)
-        if fault is not Cause.NONE or loop.stopped:
-            return fault
-    return Cause.NONE
+        if loop.drive(segment) is not Cause.NONE or loop.stopped:
+            return
 
 
-def _outcome(link: Link, loop: ControlLoop, fault: Cause, missed: int) -> Outcome:
+def _outcome(link: Link, loop: ControlLoop, missed: int) -> Outcome:
     return Outcome(
         ticks=loop.counts.ticks,
         missed=missed,
         failed_exchanges=loop.counts.failed_exchanges,
         results={result.name.lower(): link.counts[result] for result in ExchangeResult if link.counts[result]},
-        fault="" if fault is Cause.NONE else _fault_text(fault, loop),
+        fault=_fault_text(loop),
         stopped=loop.stopped,
         resident_kib=_resident_kib(),
         stale_bytes=link.stale_bytes,
@@ -211,8 +202,11 @@ def _outcome(link: Link, loop: ControlLoop, fault: Cause, missed: int) -> Outcom
     )
 
 
-def _fault_text(fault: Cause, loop: ControlLoop) -> str:
-    return f"{CAUSE_TEXT[fault]}: {loop.failure}" if fault is Cause.CONTROLLER else CAUSE_TEXT[fault]
+def _fault_text(loop: ControlLoop) -> str:
+    """Text of the latched fault; empty without one."""
+    fault = loop.supervisor.fault
+    text = "" if fault is Cause.NONE else CAUSE_TEXT[fault]
+    return f"{text}: {loop.failure}" if fault is Cause.CONTROLLER else text
 
 
 def _resident_kib() -> int:

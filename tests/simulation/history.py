@@ -337,13 +337,8 @@ class History:
                 continue
             self.violate(kind, text, time_s)
         shown = machine.now_ns - self.arm_answered_ns > SHOWN_WITHIN_S * SECOND
-        if (
-            at_rest
-            and not self.arms
-            and shown
-            and (judge[judged.MAY_DRIVE] or self.excused)
-            and self.state() not in DRIVEN
-        ):
+        may_drive = judge[judged.MAY_DRIVE] or self.excused
+        if at_rest and not self.arms and shown and may_drive and self.state() not in DRIVEN:
             judge[judged.MAY_DRIVE] = 0.0
             self.excused -= {"foreign"}
         self._judge_state()
@@ -646,11 +641,8 @@ class History:
             self.expect_rest(name, self._held_s())
             if times == 1:
                 self.expect_steadily(name)
-                if (
-                    self._is_calm()
-                    and self._keeps_up()
-                    and self.state() in (State.DISARMED, State.ARMING, State.RUNNING)
-                ):
+                undisturbed = self._is_calm() and self._keeps_up()
+                if undisturbed and self.state() in (State.DISARMED, State.ARMING, State.RUNNING):
                     self._expect_no_fault(self.service, self.happened)
             for _ in range(times):
                 if self.alive:

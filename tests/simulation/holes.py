@@ -40,7 +40,10 @@ class Hole:
 HOLES = {
     "arm after a stop": Hole(
         "piezod.session.command_queue",
-        'if name == "arm" and requested_ns <= self._urged_ns:', "if False:", "F3: a refused command never acts",
+        'if name == "arm" and requested_ns < self._arms_from_ns:', "if False:", "F3: a refused command never acts",
+    ),
+    "an arm outranks the stop before it": Hole(
+        "piezod.session.command_queue", '(OUTRANKED_NS if name == "stop" else 1)', "1", "H7: order of two channels",
     ),
     "orphan drives on": Hole(
         "piezod.session.control_process",

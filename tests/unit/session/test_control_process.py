@@ -12,7 +12,7 @@ from piezod.config import load_bench
 from piezod.runtime import processes
 from piezod.session import control_process
 from piezod.session.session import Session
-from piezod.session.task import Task
+from piezod.session.task import SharedMemory, Task
 
 
 @pytest.fixture
@@ -27,6 +27,7 @@ def steps(monkeypatch):
     loop = SimpleNamespace(
         observe=lambda *_: None,
         supervisor=SimpleNamespace(heat_W=0.0),
+        serve=lambda _: found.append("serve"),
         request_stop=lambda *, fast=False: found.append("fast stop" if fast else "stop"),
     )
     link = SimpleNamespace(description="fake")
@@ -40,7 +41,6 @@ def steps(monkeypatch):
     monkeypatch.setattr(control_process, "real_time", lambda _: contextlib.nullcontext())
     monkeypatch.setattr(control_process, "_warm_up", lambda _: found.append("warm up"))
     monkeypatch.setattr(control_process, "_outcome", lambda *_: loop)
-    monkeypatch.setattr(control_process, "_serve", lambda *_: found.append("serve"))
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)}
     yield SimpleNamespace(found=found, pipe=Pipe(), loop=loop)
     for number, handler in before.items():
@@ -49,7 +49,8 @@ def steps(monkeypatch):
 
 def execute(steps, heat_W=0.0):
     path = shipped("bench.yaml")
-    control_process._execute(Task(load_bench(path), None, path.parent, (), path, heat_W), steps.pipe)
+    task = Task(load_bench(path), None, path.parent, (), path, heat_W)
+    control_process._execute(task, steps.pipe, SharedMemory(None))
 
 
 def test_the_compiled_steps_are_loaded_before_ready(steps):
