@@ -1,5 +1,6 @@
 """`piezod stop --direct`: bring a bench to rest without its daemon, with the limits and the loop of the daemon.
 
+A program that drives the bench gets the stop first, at its stop socket. Without an answer its lock must become free.
 systemd runs it after a daemon has failed (`ExecStopPost`). An operator runs it when a voltage is left at the output.
 """
 
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, RingLog
+from piezod.daemon import client, stop_path
 from piezod.errors import CheckFailedError, PiezodError, UnreachableError
 from piezod.session.assembly import load_bench_without_model, make_loop, make_rate_keeper, opened_link
 from piezod.session.lock import lock_bench
@@ -27,7 +29,7 @@ WATCHDOG_POLL_INTERVAL_S = 0.2  # time between two readings while the watchdog o
 
 
 def stop_directly(path: Path) -> str:
-    """Drive the output to the safe voltage and read it back.
+    """Stop the program that drives the bench, else drive the output to the safe voltage; read it back.
 
     Parameters
     ----------
@@ -42,7 +44,7 @@ def stop_directly(path: Path) -> str:
     Raises
     ------
     BusyError
-        A daemon drives the bench; use `piezod stop` without `--direct`.
+        Another program holds the lock of the bench, and does not answer or does not reach the device.
     TemporaryError, ConfigurationError
         The device does not answer, or is not the configured device.
     CheckFailedError
@@ -51,12 +53,26 @@ def stop_directly(path: Path) -> str:
     bench = load_bench_without_model(path)
     limits = bench.limits
     ramp_s = (limits.voltage_max_V - limits.voltage_min_V) / limits.ramp_down_V_per_s
+    if driven := _stop_driver(bench):
+        return driven
     lock = lock_bench(bench, wait_s=LOCK_WITHIN_S + ramp_s, stopping=True)
     try:
         with opened_link(bench) as link:
             return bring_to_rest(bench, link)
     finally:
         lock.close()
+
+
+def _stop_driver(bench: BenchConfig) -> str:
+    """Stop the program that drives the bench; the result tells its output at rest, and is empty without one."""
+    with contextlib.suppress(PiezodError):
+        stop_path.urge(bench.stop_socket_path, "stop", client.URGE_WITHIN_S)  # a program that hangs is asked no more
+        status = client.command_and_wait(bench.socket_path, "stop", wait=True)
+        output_V = status.get("readback_V")
+        at_rest = status.get("state") == "DISARMED" if output_V is None else _at_rest(bench, output_V)
+        if at_rest and status["connected"] and not status["stale"]:
+            return f"{bench.stop_socket_path}: stopped by the program that drives; at rest, {status['state']}"
+    return ""
 
 
 def bring_to_rest(bench: BenchConfig, link: Link) -> str:

@@ -4,7 +4,9 @@ Two bench files may name one device, so the lock of a bench file is not enough. 
 The kernel releases it when the last process that holds it ends. No other user can open the files, so no other user can
 take a lock. Programs of two users on one device are detected at the device (`control/device_guard.py`).
 
-A stop passes an unused lock: the file of another user, or a holder that stands still.
+Only the kernel tells whether a lock is held: its holder may live in another namespace of process numbers, stand still,
+or have lost the content of its file. The process number in the file serves messages. A stop opens the file of another
+user as root, and passes it otherwise.
 """
 
 import contextlib
@@ -27,8 +29,6 @@ DEVICE_LOCKS = Path("/dev/shm")  # noqa: S108  # holds the folder of each user
 MODE = 0o600
 FOLDER_MODE = 0o700
 MOST_FOLDERS = 10  # names that are tried for the folder of a user, if another user has made a folder of that name
-STANDING = "TtZXD"
-"""States of a process that does nothing (proc_pid_stat(5)): stopped, ended, or waiting for a dead disk."""
 _RETRY_S = 0.05
 _CONTENT = re.compile(rb"[0-9]{0,10}\n?")  # process number of the holder
 
@@ -46,7 +46,7 @@ class BenchLock:
     wait_s
         Longest time to wait for another holder [s].
     stopping
-        Whether the bench will only be brought to rest; then an unused lock is passed.
+        Whether the bench will only be brought to rest; then the file of another user is passed.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def _lock(path: Path, what: str, deadline_s: float, *, stopping: bool) -> int | 
     """
     while True:
         try:
-            descriptor = _open(path)
+            descriptor = _open(path, any_owner=stopping and os.geteuid() == 0)
         except BusyError:
             if stopping:
                 return None
@@ -221,20 +221,10 @@ def _lock(path: Path, what: str, deadline_s: float, *, stopping: bool) -> int | 
         holder = descriptors.pread(descriptor, 20, 0).decode("ascii", "replace").strip()
         descriptors.close(descriptor)
         if clock.monotonic() >= deadline_s:
-            if stopping and _state_of(holder) in STANDING:
-                return None
             who = f"process {holder}" if holder.isdigit() else "another process"
-            raise BusyError(f"{path}: {who} drives or watches this {what}; stop it first")
+            advice = "kill -9 makes its control process ramp down" if stopping else "stop it first"
+            raise BusyError(f"{path}: {who} drives or watches this {what}; {advice}")
         clock.sleep(_RETRY_S)
-
-
-def _state_of(holder: str) -> str:
-    """State of a process, as in proc_pid_stat(5); "X" if there is none."""
-    try:
-        text = Path(f"/proc/{int(holder)}/stat").read_text(encoding="ascii", errors="replace")
-    except (OSError, ValueError):
-        return "X"
-    return text.rpartition(")")[2].split()[0]
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
@@ -244,21 +234,21 @@ def _is_at(descriptor: int, path: Path) -> bool:
         return False
 
 
-def _open(path: Path) -> int:
+def _open(path: Path, *, any_owner: bool) -> int:
     """Open or create the file; a link, folder, pipe or device, and a file with other content, is refused."""
     flags = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_RDWR
     try:
         with contextlib.suppress(FileExistsError):
             return descriptors.open_file(path, flags | os.O_CREAT | os.O_EXCL, MODE)
         status = path.lstat()
-        if stat.S_ISREG(status.st_mode) and status.st_uid != os.geteuid():
+        if stat.S_ISREG(status.st_mode) and status.st_uid != os.geteuid() and not any_owner:
             raise BusyError(
                 f"{path}: belongs to user {status.st_uid}, whose program may drive this bench; stop it, remove the file"
             )
         descriptor = descriptors.open_file(path, flags)
     except FileNotFoundError as error:
         if path.parent.is_dir():  # its holder has removed it in the meantime
-            return _open(path)
+            return _open(path, any_owner=any_owner)
         raise _open_error(path, error) from error
     except OSError as error:
         raise _open_error(path, error) from error
@@ -272,11 +262,10 @@ def _open(path: Path) -> int:
 
 
 def _locked(descriptor: int) -> bool:
-    try:
+    with contextlib.suppress(BlockingIOError):
         descriptors.lock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _open_error(path: Path, error: OSError) -> ConfigurationError | TemporaryError:

@@ -11,6 +11,7 @@ import urllib.request
 import pytest
 import yaml
 
+from piezod.config import load_bench
 from piezod.errors import TemporaryError
 from tests.benches.daemon import PATIENT, change, client, daemon, register
 from tests.benches.emulator import bench_file, emulator, piezod
@@ -100,7 +101,26 @@ def test_a_second_instance_and_a_recording_beside_it_are_refused(bench, tmp_path
         one_line(piezod("run", bench), 75, f"process {service.process.pid} drives or watches this bench")
         done = piezod("record", bench, "--excitation", "constant-triangles", "-o", tmp_path / "x.csv")
         one_line(done, 75, "drives or watches this bench")
-        one_line(piezod("stop", bench, "--direct"), 75, "drives or watches this bench")
+
+
+def test_a_direct_stop_lets_the_service_stop_and_never_takes_a_living_one_for_dead(bench, serves):
+    with daemon(bench) as service:
+        service.connected()
+        assert service.tell("arm")["state"] == "RUNNING"
+        load_bench(bench).lock_path.write_text("")
+        done = piezod("stop", bench, "--direct")
+        assert done.returncode == 0, done.stderr
+        assert "stopped by the program that drives; at rest, DISARMED" in done.stdout
+        assert register(serves, READBACK) == pytest.approx(0.0, abs=0.1)
+        time.sleep(2.0)
+        assert service.tell("arm")["state"] == "RUNNING"
+        service.signal(signal.SIGSTOP)
+        one_line(piezod("stop", bench, "--direct"), 75, "kill -9 makes its control process ramp down")
+        service.process.kill()
+        service.process.wait()
+        done = piezod("stop", bench, "--direct")
+        assert done.returncode == 0, done.stderr
+        assert register(serves, READBACK) == pytest.approx(0.0, abs=0.1)
 
 
 def test_a_fault_is_latched_until_it_is_reset_and_nothing_arms_by_itself(bench, serves):

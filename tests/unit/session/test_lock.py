@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 import socket
 import time
 from unittest.mock import MagicMock
@@ -227,13 +228,36 @@ def test_a_folder_that_another_user_has_made_is_not_used(tmp_path, monkeypatch):
     assert device_lock_path("x").parent == tmp_path / f"piezod-{os.geteuid()}-1"
 
 
-@pytest.mark.parametrize(("state", "passed"), [("T", True), ("Z", True), ("S", False), ("R", False)])
-def test_a_stop_passes_a_holder_that_stands_still_and_no_other(tmp_path, monkeypatch, state, passed):
+@pytest.mark.parametrize("content", ["", "999999\n"], ids=["emptied", "of another namespace of process numbers"])
+def test_a_held_lock_keeps_out_a_stop_whatever_its_file_says(tmp_path, content):
     lock = BenchLock(tmp_path / "x.lock")
-    monkeypatch.setattr("piezod.session.lock._state_of", lambda holder: state)
-    if passed:
-        BenchLock(tmp_path / "x.lock", stopping=True).close()
-    else:
-        with pytest.raises(BusyError):
-            BenchLock(tmp_path / "x.lock", stopping=True)
+    (tmp_path / "x.lock").write_text(content)
+    with pytest.raises(BusyError, match="drives or watches this bench"):
+        BenchLock(tmp_path / "x.lock", stopping=True)
+    lock.close()
+
+
+def test_a_holder_that_stands_still_keeps_out_a_stop_until_it_is_killed(tmp_path):
+    lock = BenchLock(tmp_path / "x.lock")
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    child = context.Process(target=hold, args=(lock, theirs))
+    child.start()
+    assert ours.recv() == "held"
+    (tmp_path / "x.lock").write_text(f"{child.pid}\n")
+    os.close(lock._held.pop(tmp_path / "x.lock"))
+    os.kill(child.pid, signal.SIGSTOP)
+    with pytest.raises(BusyError):
+        BenchLock(tmp_path / "x.lock", stopping=True)
+    child.kill()
+    child.join()
+    BenchLock(tmp_path / "x.lock", stopping=True).close()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs the rights of root")
+def test_a_stop_of_root_asks_the_kernel_about_the_lock_file_of_another_user(tmp_path):
+    lock = BenchLock(tmp_path / "x.lock")
+    os.chown(tmp_path / "x.lock", 12345, -1)
+    with pytest.raises(BusyError, match="drives or watches"):
+        BenchLock(tmp_path / "x.lock", stopping=True)
     lock.close()
