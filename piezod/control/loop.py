@@ -200,14 +200,6 @@ class ControlLoop:
         if left and not reading.status & STATUS_WATCHDOG:
             self._begin_ramp_down(reading.voltage_readback_V)
 
-    def watch(self, ticks: int | None = None) -> None:
-        """Read without writing, for a number of ticks or until a stop is requested."""
-        self._clock.start()
-        while not self._stop_requested and ticks != 0:
-            self.run_tick()
-            self.wait()
-            ticks = None if ticks is None else ticks - 1
-
     def serve(self, after_tick: Callable[[], None]) -> None:
         """Run ticks until a stop is requested and the bench is at rest; call `after_tick` after each.
 

@@ -2,7 +2,7 @@
 
 import asyncio
 import signal
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,13 +12,11 @@ from piezod.errors import TemporaryError, system_error_text
 from piezod.runtime import signals
 from piezod.session.heat_file import HeatFile
 from piezod.session.history import History, OnRows
-from piezod.session.lock import BenchLock, lock_bench
+from piezod.session.lock import lock_bench
 from piezod.session.session import Session
-from piezod.session.task import Outcome, SegmentSpec
+from piezod.session.task import Outcome, Program, SegmentSpec, Task
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import numpy as np
     from numpy.typing import NDArray
 
@@ -86,10 +84,7 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
 
         size = correction_size(bench, path.parent)
 
-    def session_of(lock: BenchLock, heat_W: float) -> Session:
-        return Session(bench, None, path.parent, [], serves=path, lock=lock, heat_W=heat_W, correction_size=size)
-
-    service = _serve(path, bench, session_of, arm=arm, on_rows=None)
+    service = _serve(path, Task(bench, None, path.parent, (), path), arm=arm, on_rows=None, correction_size=size)
     _log_result(service.outcome, service.statistics.tracking)
     watch = service.model_watch
     if watch.preview is not None:
@@ -99,9 +94,16 @@ def run_foreground(path: Path, *, arm: bool) -> RunResult:
 
 
 def drive(
-    path: Path, bench: BenchConfig, model: "Model | None", segments: list[SegmentSpec], on_rows: OnRows
+    path: Path,
+    bench: BenchConfig,
+    model: "Model | None",
+    segments: list[SegmentSpec],
+    on_rows: OnRows,
+    program: Program | None = None,
 ) -> tuple[History, Outcome]:
-    """Drive segments and collect every row; a fault, a stop from any side, SIGINT, SIGTERM or SIGHUP ends it at rest.
+    """Drive segments, or a program, and collect every row.
+
+    A fault, a stop from any side, SIGINT, SIGTERM or SIGHUP ends it at rest.
 
     Parameters
     ----------
@@ -109,6 +111,8 @@ def drive(
         Bench file; relative paths start from its folder.
     bench, model
         Its configuration, and the model of the segments that name none.
+    program
+        Drive in place of segments; None: drive `segments`.
     on_rows
         Called about ten times per second with new rows.
 
@@ -123,27 +127,24 @@ def drive(
         history.add(rows)
         on_rows(rows)
 
-    def session_of(lock: BenchLock, heat_W: float) -> Session:
-        return Session(bench, model, path.parent, segments, lock=lock, heat_W=heat_W)
-
+    task = Task(bench, model, path.parent, tuple(segments), program=program)
     JOURNAL.is_quiet = True
     try:
-        return history, _serve(path, bench, session_of, arm=False, on_rows=add).outcome
+        return history, _serve(path, task, arm=False, on_rows=add).outcome
     finally:
         JOURNAL.is_quiet = False
 
 
-def _serve(
-    path: Path, bench: BenchConfig, make: "Callable[[BenchLock, float], Session]", *, arm: bool, on_rows: OnRows | None
-) -> "Service":
+def _serve(path: Path, task: Task, *, arm: bool, on_rows: OnRows | None, correction_size: int = 0) -> "Service":
     """Run a service from the lock of its bench to the end, and keep the heat of the stack.
 
     The heat of a session that ended without a word is not kept: the stack may be as hot as its limit allows.
     """
+    bench = task.bench
     lock = lock_bench(bench)
     heat_file = HeatFile(bench)
-    heat_W = heat_file.pop()
-    session = make(lock, heat_W)
+    task = replace(task, heat_W=heat_file.pop())
+    session = Session(task, lock, correction_size=correction_size)
     before = {number: signals.handler(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         session.launch()
@@ -152,7 +153,7 @@ def _serve(
         if on_rows is None:
             _check_files(bench)
         service = Service(path, bench, lock, session, arm=arm, on_rows=on_rows)
-        service.outcome.heat_W = heat_W
+        service.outcome.heat_W = task.heat_W
         ended = False
         try:
             asyncio.run(service.run())

@@ -37,10 +37,11 @@ from piezod.runtime import clock, signals
 from piezod.session.assembly import correction_size
 from piezod.session.history import OnRows
 from piezod.session.lock import BenchLock
-from piezod.session.session import POLL_INTERVAL_S, Session, rebuild_error
-from piezod.session.task import Outcome
+from piezod.session.session import Session, rebuild_error
+from piezod.session.task import Outcome, Task
 
 RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)  # pauses after failed starts in a row [s]; the last value repeats
+POLL_INTERVAL_S = 0.1  # time between two reads of the ring log [s]
 CONNECTED_WITHIN_S = 120.0
 """Time for the start of a control process [s]: with an empty cache it compiles its steps before it is ready."""
 READY_WITHIN_S = 30.0
@@ -227,16 +228,8 @@ class Service:
         """Start a control process with the configuration that a reload has set, or with the present one."""
         bench = self._next or self._bench
         folder = self._path.parent
-        session = Session(
-            bench,
-            None,
-            folder,
-            [],
-            serves=self._path,
-            lock=self._lock,
-            heat_W=self.outcome.heat_W,
-            correction_size=correction_size(bench, folder),
-        )
+        task = Task(bench, None, folder, (), self._path, self.outcome.heat_W)
+        session = Session(task, self._lock, correction_size=correction_size(bench, folder))
         session.launch()
         self._bench, self._next, self._files = bench, None, ""
         self._launched.set()

@@ -114,7 +114,8 @@ def _execute(task: Task, pipe: Connection, shared: SharedMemory) -> Outcome:
         rows = round(bench.daemon.ring_seconds * bench.rate_Hz)
         ring_log = RingLog(bench.ring_log_path, rows, bench.daemon.socket_group)
         stack.callback(ring_log.close)
-        loop = make_loop(bench, link, clock, ring_log, PhaseTimes(shared.phases))
+        driven = link if task.program is None else task.program.prepare(bench, link, clock)
+        loop = make_loop(bench, driven, clock, ring_log, PhaseTimes(shared.phases))
         loop.supervisor.heat_W = task.heat_W
         for segment in segments[:1]:
             loop.observe(segment, ring_log)
@@ -129,11 +130,10 @@ def _execute(task: Task, pipe: Connection, shared: SharedMemory) -> Outcome:
         if not _send(pipe, ("ready", Ready(link.description, files))):
             loop.request_stop()
         with real_time(bench.real_time):
-            if task.serves is None:
-                _drive(loop, segments)
-            else:
-                loop.serve(commands.serve_pending)
-        return _outcome(link, loop, clock.missed)
+            returned = _run(task, loop, segments, commands)
+        outcome = _outcome(link, loop, clock.missed)
+        outcome.returned = returned
+        return outcome
 
 
 def _correct_by(segment: Segment, cells: Any, task: Task) -> None:  # noqa: ANN401  # an array of ctypes
@@ -177,13 +177,17 @@ def _urge(name: str, task: Task, loop: ControlLoop, commands: CommandQueue) -> N
         commands.urge(name)
 
 
-def _drive(loop: ControlLoop, segments: list[Segment]) -> None:
-    """Drive the segments until the last one, a stop, or a fault; without segments only read."""
-    if not segments:
-        loop.watch()
+def _run(task: Task, loop: ControlLoop, segments: list[Segment], commands: CommandQueue) -> object:
+    """Serve commands, run the program and return its result, or drive the segments until a stop or a fault."""
+    if task.program is not None:
+        return task.program.run(loop)
+    if task.serves is not None:
+        loop.serve(commands.serve_pending)
+        return None
     for segment in segments:
         if loop.drive(segment) is not Cause.NONE or loop.stopped:
-            return
+            break
+    return None
 
 
 def _outcome(link: Link, loop: ControlLoop, missed: int) -> Outcome:

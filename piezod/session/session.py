@@ -5,16 +5,13 @@ Everything besides the loop (display, recording, answers to clients) happens in 
 
 import contextlib
 import signal
-from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import piezod.errors
-from piezod.config import BenchConfig
 from piezod.errors import PiezodError
 from piezod.runtime import clock, descriptors, processes
-from piezod.session.lock import BenchLock, lock_bench
-from piezod.session.task import URGENT, Outcome, SegmentSpec, SharedMemory, Task
+from piezod.session.lock import BenchLock
+from piezod.session.task import URGENT, Outcome, SharedMemory, Task
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -23,9 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from piezod.control import RingReader
-    from piezod.model import Model
 
-POLL_INTERVAL_S = 0.1  # time between two reads of the ring log [s]
 PHASE_CELLS = 24_577
 """Number of int64 values of `piezod.control.phase_times`, which a test compares; its import is slow."""
 BAD_EXCHANGE_BYTES = 648  # `piezod.transport.bad_exchange.SIZE`, which a test compares; its import is slow
@@ -37,16 +32,10 @@ class Session:
 
     Parameters
     ----------
-    bench, model, folder
-        Result of `load_bench_and_model`, and the folder that relative paths start from.
-    segments
-        Segments to drive, in this order. Empty: read the bench until stopped.
-    serves
-        Bench configuration to serve until stopped: the control process waits for commands and follows its reference.
+    task
+        Input of the control process.
     lock
-        Lock of the bench that the caller holds. None: the session takes it at the start and releases it at the end.
-    heat_W
-        `Outcome.heat_W` of the previous session on this bench [W]: the stack is still warm.
+        Lock of the bench, which the caller holds until the end.
     correction_size
         Number of float64 values of a learned correction (`RepeatCorrection`); 0: no learned correction.
 
@@ -58,20 +47,8 @@ class Session:
         Outcome of the session, after its end.
     """
 
-    def __init__(
-        self,
-        bench: BenchConfig,
-        model: "Model | None",
-        folder: Path,
-        segments: list[SegmentSpec],
-        *,
-        serves: Path | None = None,
-        lock: BenchLock | None = None,
-        heat_W: float = 0.0,
-        correction_size: int = 0,
-    ) -> None:
-        self._task = Task(bench, model, folder, tuple(segments), serves, heat_W)
-        self._lock, self._owns_lock = lock, lock is None
+    def __init__(self, task: Task, lock: BenchLock, *, correction_size: int = 0) -> None:
+        self._task, self._lock = task, lock
         self._pipe: Connection | None = None
         self._process: Any = None
         self._pid_descriptor = -1
@@ -92,15 +69,7 @@ class Session:
         return self._pipe.fileno()
 
     def launch(self) -> None:
-        """Start the control process without waiting for its connection to the bench.
-
-        Raises
-        ------
-        BusyError
-            Another program holds the bench.
-        """
-        if self._lock is None:
-            self._lock = lock_bench(self._task.bench)
+        """Start the control process without waiting for its connection to the bench."""
         context = processes.spawn_context()
         self._pipe, child_pipe = context.Pipe()
         arguments = (self._task, child_pipe, self._lock, self.shared)
@@ -108,20 +77,6 @@ class Session:
         self._process.start()
         self._pid_descriptor = processes.pid_descriptor(self._process.pid)
         child_pipe.close()
-
-    def start(self) -> None:
-        """Start the control process and wait until it is connected.
-
-        Raises
-        ------
-        PiezodError
-            Error of the control process, raised before it wrote anything.
-        """
-        self.launch()
-        kind, content = self.receive()
-        if kind == "error":
-            raise rebuild_error(*content)
-        self.open_ring_log()
 
     def receive(self) -> tuple[str, Any]:
         """Wait for the next message of the control process.
@@ -165,22 +120,6 @@ class Session:
     def dropped(self) -> int:
         """Number of rows that were overwritten before they were read."""
         return 0 if self._reader is None else self._reader.dropped
-
-    def follow(self) -> Iterator["NDArray[np.void]"]:
-        """Yield the new rows of the ring log every `POLL_INTERVAL_S` until the control process ends.
-
-        Raises
-        ------
-        PiezodError
-            Error that ended the control process.
-        """
-        assert self._pipe is not None
-        while not self._pipe.poll(POLL_INTERVAL_S):
-            yield self.read()
-        kind, content = self.receive()
-        if kind == "error":
-            raise rebuild_error(*content)
-        yield self.read()
 
     def command(self, name: str, argument: object = None, requested_ns: int | None = None) -> int:
         """Send a command to a control process that serves.
@@ -238,7 +177,7 @@ class Session:
         return () if self._reader is None else self._reader.counters
 
     def close(self) -> None:
-        """Ramp down if the bench is still driven, wait for the end, and release lock and ring log."""
+        """Ramp down if the bench is still driven, wait for the end, and remove the ring log."""
         if self._process is not None:
             self._signal(signal.SIGTERM)  # never a second call of `stop`: closing is no reason for haste
             self._process.join(timeout=END_WITHIN_S)
@@ -253,8 +192,6 @@ class Session:
                 descriptors.close(descriptor)
         if self._pipe is not None:
             self._pipe.close()
-        if self._lock is not None and self._owns_lock:
-            self._lock.close()
 
 
 def rebuild_error(name: str, text: str) -> PiezodError:

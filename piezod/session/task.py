@@ -6,7 +6,7 @@ This module imports little. The control process starts first and loads its own m
 import signal
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from piezod.config import BenchConfig
 
@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from piezod.config.reference import ReferenceConfig
+    from piezod.control import ControlLoop, RateKeeper
     from piezod.model import Model
+    from piezod.transport import Link
 
 URGENT = {"disarm": signal.SIGRTMIN + 1, "stop": signal.SIGRTMIN + 2}
 """Signals that command the control process without the pipe."""
@@ -49,6 +51,16 @@ class SegmentSpec:
     model: "Model | None" = None
 
 
+class Program(Protocol):
+    """Drive of its own in the control process; sent there from another process."""
+
+    def prepare(self, bench: BenchConfig, link: "Link", clock: "RateKeeper") -> "Link":
+        """Link that the loop drives through: the opened link of the bench, or one around it."""
+
+    def run(self, loop: "ControlLoop") -> object:
+        """Drive until the end, or until `loop.stopped`, and bring the bench to rest; the result goes to the parent."""
+
+
 @dataclass(frozen=True)
 class Task:
     """Input of a control process.
@@ -56,7 +68,7 @@ class Task:
     Parameters
     ----------
     bench, model
-        Result of `load`.
+        Result of `load_bench_and_model`; no model: None.
     folder
         Folder that relative paths start from.
     segments
@@ -65,7 +77,9 @@ class Task:
         Bench configuration to serve until stopped. The control process loads the model that it names, follows its
         reference after each `arm`, and is disarmed otherwise. None: drive `segments`.
     heat_W
-        Mean power of the stack at the end of the control process before [W].
+        Mean power of the stack at the end of the control process before [W]: the stack is still warm.
+    program
+        Drive in place of segments; None: drive `segments`.
     """
 
     bench: BenchConfig
@@ -74,6 +88,7 @@ class Task:
     segments: tuple[SegmentSpec, ...]
     serves: Path | None = None
     heat_W: float = 0.0
+    program: Program | None = None
 
 
 @dataclass(frozen=True)
@@ -135,6 +150,8 @@ class Outcome:
         Advice about the link; empty without one.
     heat_W
         Mean power that the stack turned into heat, at the end [W].
+    returned
+        Result of the program of the task; None without one.
     """
 
     ticks: int = 0
@@ -149,3 +166,4 @@ class Outcome:
     spikes: int = 0
     hint: str = ""
     heat_W: float = 0.0
+    returned: Any = field(default=None, init=False)

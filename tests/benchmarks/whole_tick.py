@@ -4,6 +4,7 @@ The limit is libmodbus in C doing one exchange a period on the same bench: the s
 """
 
 import contextlib
+import multiprocessing
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,10 +14,10 @@ import numpy as np
 from piezod.commissioning.shipped_files import shipped
 from piezod.config.reference import WaveformReference
 from piezod.control import State
+from piezod.daemon.run import drive
 from piezod.session.assembly import load_bench_and_model
 from piezod.session.history import History
-from piezod.session.session import Session
-from piezod.session.task import SegmentSpec
+from piezod.session.task import Outcome, SegmentSpec
 from tests.benchmarks import modbus_peers as peers
 from tests.benchmarks.exchange import link_config
 from tests.benchmarks.rounds import ROUNDS
@@ -40,18 +41,18 @@ def measure(*, quick: bool) -> Iterator[Row]:
             program = stack.enter_context(peers.libmodbus_client())
             count = round(duration_s * 1e6 / PERIOD_US / ROUNDS)
             limits_ns = [peers.libmodbus_ns(program, address, count, PERIOD_US) for _ in range(ROUNDS // 2)]
-            session, history, resident_MiB = _drive(address, duration_s)
+            history, outcome, resident_MiB = _drive(address, duration_s)
             limits_ns += [peers.libmodbus_ns(program, address, count, PERIOD_US) for _ in range(ROUNDS - ROUNDS // 2)]
         except NotMeasuredError as reason:
             note = f"libmodbus: not measured: {reason}"
-            session, history, resident_MiB = _drive(address, duration_s)
+            history, outcome, resident_MiB = _drive(address, duration_s)
     yield from _completion(history, limits_ns, note)
-    yield from _losses(session, history)
+    yield from _losses(outcome, history)
     yield from _resident(resident_MiB)
 
 
-def _drive(address: peers.Address, duration_s: float) -> tuple[Session, History, list[float]]:
-    """Follow a triangle with the inverse; returns the session, its ring log, and resident memory [MiB] while it ran."""
+def _drive(address: peers.Address, duration_s: float) -> tuple[History, Outcome, list[float]]:
+    """Follow a triangle with the inverse; returns the rows, the outcome, and resident memory [MiB] while it ran."""
     path = shipped("bench.yaml")
     bench, model = load_bench_and_model(path)
     ring_log = f"/dev/shm/piezod-benchmark-{os.getpid()}.ring"
@@ -61,21 +62,20 @@ def _drive(address: peers.Address, duration_s: float) -> tuple[Session, History,
     reference = WaveformReference(
         kind="triangle", amplitude_N=110, offset_N=150, frequency_Hz=0.5, duration_s=duration_s
     )
-    session = Session(bench, model, path.parent, [SegmentSpec("triangle", "inverse", reference, reset_cycle=False)])
-    history, resident_MiB = History(), []
-    try:
-        session.start()
-        for rows in session.follow():
-            history.add(rows)
-            if rows.size and rows["state"][-1] == State.RUNNING:
-                resident_MiB.append(_resident_now_MiB(session))
-    finally:
-        session.close()
-    return session, history, resident_MiB
+    resident_MiB: list[float] = []
+
+    def on_rows(rows: np.ndarray) -> None:
+        if rows.size and rows["state"][-1] == State.RUNNING:
+            resident_MiB.append(_resident_now_MiB())
+
+    segments = [SegmentSpec("triangle", "inverse", reference, reset_cycle=False)]
+    history, outcome = drive(path, bench, model, segments, on_rows)
+    return history, outcome, resident_MiB
 
 
-def _resident_now_MiB(session: Session) -> float:
-    statm = Path(f"/proc/{session._process.pid}/statm")
+def _resident_now_MiB() -> float:
+    (control_process,) = multiprocessing.active_children()
+    statm = Path(f"/proc/{control_process.pid}/statm")
     return int(statm.read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
@@ -100,8 +100,7 @@ def _median_us(rounds_ns: list[np.ndarray], q: float) -> float:
     return float(np.median([np.percentile(one, q) for one in rounds_ns])) * 1e-3
 
 
-def _losses(session: Session, history: History) -> Iterator[Row]:
-    outcome = session.outcome
+def _losses(outcome: Outcome, history: History) -> Iterator[Row]:
     note = "; ".join(text for text in (outcome.fault, *outcome.warnings) if text)
     what = f"of {history.rows.size} ticks"
     yield Row("whole_tick", f"missed {what}", "tick", outcome.missed, note=note)

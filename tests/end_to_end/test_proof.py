@@ -1,25 +1,32 @@
 """`piezod check --proof` on an emulated bench in real time."""
 
+import functools
 import json
 import os
 import signal
 import struct
+import sys
 import threading
 import time
 
 import pytest
 from pymodbus.client import ModbusTcpClient
 
-from piezod.commissioning.proof import STEPS, prove
+from piezod.commissioning.proof import STEPS, prove, sequence
+from piezod.commissioning.proof.sequence import ProofTest
 from piezod.commissioning.safe_stop import stop_directly
 from piezod.config import load_bench
 from piezod.errors import BusyError, UsageError
+from piezod.session.heat_file import HeatFile
 from piezod.session.lock import BenchLock
+from tests.benches.processes import Popen
 from tests.faults.bench_pool import run_piezod
 from tests.faults.live_bench import LiveBench
 from tests.faults.probe import Probe, repeated_after_standstills
 
 pytestmark = pytest.mark.real_time
+
+AT_ONCE = ("minimum", "temperature", "thermometer", "clamp")  # steps that end in their first ticks, or are skipped
 
 
 @pytest.fixture(scope="module")
@@ -131,30 +138,72 @@ def test_a_record_is_never_replaced(bench, tmp_path):
     assert path.read_text(encoding="utf-8") == "{}"
 
 
+class InterruptedTest(ProofTest):
+    """A proof test of two steps, whose parent gets Ctrl-C in the second one."""
+
+    def __init__(self, name, *arguments):
+        super().__init__(*arguments)
+        self._name = name
+
+    def run(self, loop):
+        """Run the steps `level` and the one that is interrupted."""
+        name, all_steps = self._name, dict(STEPS)
+
+        def interrupted(proof):
+            if name in AT_ONCE:
+                os.kill(os.getppid(), signal.SIGINT)
+                time.sleep(0.2)
+            else:
+                threading.Timer(0.05, lambda: os.kill(os.getppid(), signal.SIGINT)).start()
+            return all_steps[name](proof)
+
+        STEPS.clear()
+        STEPS.update({"level": all_steps["level"]} | {name: interrupted})
+        return super().run(loop)
+
+
 @pytest.mark.parametrize("name", STEPS)
 def test_ctrl_c_leaves_the_bench_at_rest_and_writes_a_record_that_did_not_pass(
     bench, tmp_path, monkeypatch, name, probe
 ):
-    step = STEPS[name]
-
-    def interrupted(proof):
-        if name in ("minimum", "temperature", "thermometer", "clamp"):  # they end in their first ticks, or are skipped
-            os.kill(os.getpid(), signal.SIGINT)
-        else:
-            threading.Timer(0.05, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
-        return step(proof)
-
     def attempt(number):
         record, path = prove(bench.path, tmp_path / f"record_{number}.json")
         assert record["steps"][-1]["name"] == name
         return record, path
 
-    for other in list(STEPS):
-        if other not in ("level", name):
-            monkeypatch.delitem(STEPS, other)
-    monkeypatch.setitem(STEPS, name, interrupted)
+    monkeypatch.setattr(sequence, "ProofTest", functools.partial(InterruptedTest, name))
     record, path = repeated_after_standstills(probe, attempt)
     assert not record["passed"]
     assert record["left_at_rest"]
     assert record["remark"] == "interrupted"
     assert json.loads(path.read_text(encoding="utf-8")) == record
+
+
+@pytest.mark.parametrize("command", ["stop", "disarm"])
+def test_another_operator_sees_and_ends_a_proof_test(bench, tmp_path, command):
+    path = tmp_path / "record.json"
+    process = Popen([sys.executable, "-m", "piezod", "check", str(bench.path), "--proof", "-o", str(path)])
+    try:
+        while bench.device.ask("report")["output_V"] < 5.0:
+            assert process.poll() is None
+            time.sleep(0.02)
+        code, text, _ = run_piezod("status", bench.path, "--json")
+        assert (code, json.loads(text)["connected"]) == (0, True)
+        assert run_piezod(command, bench.path)[0] == 0
+        assert process.wait(10.0) == 1
+    finally:
+        process.kill()
+        process.wait()
+    record = json.loads(path.read_text(encoding="utf-8"))
+    assert (record["remark"], record["left_at_rest"], record["passed"]) == ("interrupted", True, False)
+    assert len(record["steps"]) < len(STEPS)
+
+
+def test_a_proof_test_takes_and_keeps_the_account_of_the_heat(bench, tmp_path, probe):
+    def attempt(number):
+        HeatFile(load_bench(bench.path)).keep(1.5)
+        record, _ = prove(bench.path, tmp_path / f"record_{number}.json")
+        assert steps_of(record)["heat"]["result"] == "pass"
+
+    repeated_after_standstills(probe, attempt)
+    assert 0.0 < HeatFile(load_bench(bench.path)).pop() < 1.5

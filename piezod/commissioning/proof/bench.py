@@ -1,23 +1,20 @@
 """The bench of a proof test: hold a low voltage with the ordinary control loop, and measure the reaction."""
 
-import tempfile
 import time
 from dataclasses import dataclass
 from math import inf, isfinite, nan
-from pathlib import Path
-from typing import Self, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.commissioning.proof.links import ChangedLink
+from piezod.commissioning.proof.links import UNCHANGED, ChangedLink, Changes
 from piezod.config import BenchConfig
-from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RingLog, RingReader, Segment, State, TableReference
+from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RateKeeper, RingReader, Segment, State, TableReference
 from piezod.control import check_ready as check_ready_to_arm
 from piezod.control.rate_keeper import VirtualRateKeeper
 from piezod.errors import CheckFailedError, UnreachableError
 from piezod.model import DirectDrive
-from piezod.session.assembly import make_loop, make_rate_keeper
 from piezod.transport import ExchangeResult, Link
 
 PROOF_SHARE = 0.05  # of the voltage range: the level of the test
@@ -151,47 +148,44 @@ class ProofBench:
 
     Parameters
     ----------
-    bench, link
-        Bench configuration and its opened link.
+    bench, link, clock
+        Bench configuration, its opened link and the clock of its loop.
 
     Attributes
     ----------
+    link
+        Link to drive through, whose readings a step can change.
     level_V
         Voltage of the test [V].
     rest_N, level_N
         Force at rest and at the level [N]; nan before the first step.
-    interrupted
-        Whether Ctrl-C or SIGTERM came.
     """
 
-    def __init__(self, bench: BenchConfig, link: Link) -> None:
+    def __init__(self, bench: BenchConfig, link: Link, clock: RateKeeper) -> None:
         limits = bench.limits
-        self.bench, self.link = bench, link
-        self._clock = make_rate_keeper(bench, link)
+        self.bench, self._clock = bench, clock
+        self._changed = ChangedLink(link, self.level_reached)
+        self.link = cast("Link", self._changed)
         low_V, span_V = limits.voltage_safe_V, limits.voltage_max_V - limits.voltage_safe_V
         self.level_V = low_V + min(span_V, max(PROOF_SHARE * span_V, LEAST_STEPS * bench.arming.sign_check.step_V))
         self.readback_limit_V = limits.readback_trip_V or bench.arming.readback_within_V
         self.watchdog_limit_ms = limits.device_watchdog_ms + limits.readback_trip_ms + 2e3 * bench.dt_s
         self.rest_N = self.level_N = nan
-        self.interrupted = False
-        self._loop: ControlLoop | None = None
-        self._folder = tempfile.TemporaryDirectory(prefix="piezod-proof-")
+        self._loop: ControlLoop
+        self._reader: RingReader
 
-    def __enter__(self) -> Self:
-        return self
+    def begin(self, loop: ControlLoop) -> None:
+        """Drive with `loop`, which drives through `link`."""
+        self._loop, self._reader = loop, RingReader(self.bench.ring_log_path)
 
-    def __exit__(self, *_: object) -> None:
-        self._folder.cleanup()
-
-    def interrupt(self) -> None:
-        """Request a ramp down and the end of the test. Safe in a signal handler."""
-        self.interrupted = True
-        if self._loop is not None:
-            self._loop.request_stop()
+    @property
+    def interrupted(self) -> bool:
+        """Whether a stop came."""
+        return self._loop.stopped
 
     def level_reached(self) -> bool:
         """Whether the level is held now."""
-        return self._loop is not None and self._loop.supervisor.state is State.RUNNING
+        return self._loop.supervisor.state is State.RUNNING
 
     def read_force_N(self) -> float:
         """Force now [N].
@@ -230,9 +224,10 @@ class ProofBench:
         self,
         *,
         tightened: dict[str, float] | None = None,
-        link: ChangedLink | None = None,
+        changes: Changes = UNCHANGED,
         stops: bool = False,
         late: bool = False,
+        cold: bool = False,
         lasts_s: float = HOLD_S,
         falls: bool = False,
         expected_N: float | None = None,
@@ -243,12 +238,14 @@ class ProofBench:
         ----------
         tightened
             Limits in place of the configured ones, by their keys; the caller makes each tighter, never looser.
-        link
-            Link in place of the link of the bench.
+        changes
+            Changes of the readings at the level.
         stops
             Whether a stop is requested in the middle of the hold.
         late
             Whether each tick at the level misses its deadline.
+        cold
+            Whether the interlock of the heat counts from zero; what the stack had before is added at the end.
         lasts_s
             Duration of the hold [s].
         falls
@@ -261,24 +258,27 @@ class ProofBench:
         CheckFailedError
             A precondition of arming fails, or the test was interrupted.
         """
-        bench = self.bench
-        if tightened:
-            bench = bench.model_copy(update={"limits": bench.limits.model_copy(update=tightened)})
-        segment = self._segment(lasts_s, falls, expected_N)
-        ring_log, loop = self._armed(bench, cast("Link", link) if link is not None else self.link, segment)
+        loop, supervisor, limits = self._loop, self._loop.supervisor, self.bench.limits
         held, half = 0, self._ticks(lasts_s) // 2
+        before_W = supervisor.heat_W if cold else 0.0
+        supervisor.heat_W -= before_W
+        loop.set_limits(limits.model_copy(update=tightened))
+        self._changed.changes = changes
         try:
-            while loop.supervisor.driving:
+            self._arm(self._segment(lasts_s, falls, expected_N))
+            while supervisor.driving:
                 loop.run_tick()
                 held += self.level_reached()
                 if stops and held == half:
-                    loop.request_stop()
+                    supervisor.stop()
                 if late and self.level_reached():
-                    time.sleep(max(0.0, 1e-9 * self._clock.time_left_ns()) + LATE_TICKS * bench.dt_s)
+                    time.sleep(max(0.0, 1e-9 * self._clock.time_left_ns()) + LATE_TICKS * self.bench.dt_s)
                 loop.wait()
-            return Run(RingReader(self._ring_path).read(), loop.supervisor.fault)
         finally:
-            ring_log.close()
+            self._changed.changes = UNCHANGED
+            loop.set_limits(limits)
+            supervisor.heat_W += before_W
+        return self._run()
 
     def _ticks(self, lasts_s: float) -> int:
         """Length of a hold [ticks]."""
@@ -311,18 +311,19 @@ class ProofBench:
         CheckFailedError
             A precondition of arming fails, the level is not reached, or the test was interrupted.
         """
-        ring_log, loop = self._armed(self.bench, self.link, self._segment())
-        try:
-            held = 0
-            while loop.supervisor.driving and held < self._ticks(HOLD_S) // 2:
-                loop.run_tick()
-                held += self.level_reached()
-                loop.wait()
-            if not self.level_reached():
-                raise CheckFailedError(f"proof: {CAUSE_TEXT[loop.supervisor.cause]}")
-            return self._watch_fall()
-        finally:
-            ring_log.close()
+        loop, held = self._loop, 0
+        self._arm(self._segment())
+        while loop.supervisor.driving and held < self._ticks(HOLD_S) // 2:
+            loop.run_tick()
+            held += self.level_reached()
+            loop.wait()
+        if not self.level_reached():
+            raise CheckFailedError(f"proof: {CAUSE_TEXT[loop.supervisor.cause]}")
+        found = self._watch_fall()
+        while loop.supervisor.driving:  # the first tick after the pause finds what the device has done
+            loop.run_tick()
+            loop.wait()
+        return found
 
     def _watch_fall(self) -> tuple[float, float, float]:
         """Read until the output is at rest, or no longer than the watchdog and a slow fall need."""
@@ -340,17 +341,22 @@ class ProofBench:
             self._clock.wait()
         return falls_ms, left_V, rest_ms
 
-    @property
-    def _ring_path(self) -> Path:
-        return Path(self._folder.name) / "ring"
-
-    def _armed(self, bench: BenchConfig, link: Link, segment: Segment) -> tuple[RingLog, ControlLoop]:
-        """Check every precondition, then arm a new loop with the segment."""
-        if self.interrupted:
+    def _arm(self, segment: Segment) -> None:
+        """Check every precondition, then arm with the segment; the fault of an earlier step is reset at rest."""
+        loop = self._loop
+        loop.supervisor.reset(at_rest=loop.at_rest)
+        if self.interrupted or loop.supervisor.state is not State.DISARMED:
             raise CheckFailedError("proof: interrupted")
         check_ready_to_arm(self.bench, self.link)
-        self._ring_path.unlink(missing_ok=True)
-        ring_log = RingLog(self._ring_path, round(60 * bench.rate_Hz))
-        loop = self._loop = make_loop(bench, link, self._clock, ring_log)
+        self._reader.read()
         loop.arm(segment)
-        return ring_log, loop
+
+    def _run(self) -> Run:
+        """Rows since the arming, and their end."""
+        dropped = self._reader.dropped
+        rows = self._reader.read()
+        if self._reader.dropped != dropped:
+            raise CheckFailedError(
+                f"proof: daemon.ring_seconds is {self.bench.daemon.ring_seconds:g}, shorter than a step; raise it"
+            )
+        return Run(rows, self._loop.supervisor.fault)

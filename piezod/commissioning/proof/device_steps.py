@@ -1,7 +1,7 @@
 """Steps of the proof test about exchanges, ticks, the status of the device, its watchdog and a stop."""
 
 from piezod.commissioning.proof.bench import HOLD_S, ProofBench
-from piezod.commissioning.proof.links import Change, ChangedLink, with_bits, without_bits
+from piezod.commissioning.proof.links import Change, Changes, with_bits, without_bits
 from piezod.commissioning.proof.record import ProofStep, skipped, word
 from piezod.control import Cause
 from piezod.transport import ExchangeResult
@@ -17,8 +17,8 @@ TICKS_OF_WATCHDOG = 4  # late ticks come at half the rate, with a margin of as m
 def prove_stale(proof: ProofBench) -> ProofStep:
     """Replies without a new sample: the trip of readings that are stale."""
     limits = proof.bench.limits
-    link = ChangedLink(proof.link, proof.level_reached, result=ExchangeResult.HEARTBEAT_STOOD)
-    run = proof.hold_level(link=link, lasts_s=max(HOLD_S, 4e-3 * limits.stale_after_ms))
+    changes = Changes(result=ExchangeResult.HEARTBEAT_STOOD)
+    run = proof.hold_level(changes=changes, lasts_s=max(HOLD_S, 4e-3 * limits.stale_after_ms))
     limit_ms = limits.stale_after_ms + proof.reaction_ms(2)
     time_ms = run.time_to_fault_ms(run.since_level & (run.rows["result"] == ExchangeResult.HEARTBEAT_STOOD))
     right = run.fault in (Cause.BAD_READING, Cause.COMM_LOSS) and time_ms <= limit_ms
@@ -28,8 +28,7 @@ def prove_stale(proof: ProofBench) -> ProofStep:
 def prove_silence(proof: ProofBench) -> ProofStep:
     """Exchanges withheld until the trip of a communication loss."""
     limits = proof.bench.limits
-    link = ChangedLink(proof.link, proof.level_reached, silent=True)
-    run = proof.hold_level(link=link, lasts_s=max(HOLD_S, 4e-3 * limits.comm_loss_ms))
+    run = proof.hold_level(changes=Changes(silent=True), lasts_s=max(HOLD_S, 4e-3 * limits.comm_loss_ms))
     limit_ms = limits.comm_loss_ms + proof.reaction_ms(1)
     time_ms = run.time_to_fault_ms(run.since_level & (run.rows["result"] == ExchangeResult.TIMEOUT))
     right = run.fault is Cause.COMM_LOSS and time_ms <= limit_ms
@@ -40,8 +39,8 @@ def prove_exchanges(proof: ProofBench) -> ProofStep:
     """The count of failed exchanges: every second reply is without a new sample."""
     most = min(proof.bench.limits.failed_exchanges or FAILED, FAILED)
     result = ExchangeResult.HEARTBEAT_STOOD
-    link = ChangedLink(proof.link, lambda: proof.level_reached() and proof.in_odd_tick, result=result)
-    run = proof.hold_level(tightened={"failed_exchanges": most}, link=link)
+    changes = Changes(result=result, now=lambda: proof.in_odd_tick)
+    run = proof.hold_level(tightened={"failed_exchanges": most}, changes=changes)
     failed = run.since_level & (run.rows["result"] == result)
     limit_ms = proof.reaction_ms(3 * most)  # a failure adds 3 to the count, a good exchange takes 1 away
     time_ms = run.time_to_fault_ms(failed)
@@ -100,7 +99,7 @@ def _status_step(
     """A changed status at the level, which must trip with `cause` within `after_ms` and the ticks to react."""
     if not proof.bench.has_role("status"):
         return skipped(name, "the bench reads no status")
-    run = proof.hold_level(tightened=tightened, link=ChangedLink(proof.link, proof.level_reached, {"status": change}))
+    run = proof.hold_level(tightened=tightened, changes=Changes({"status": change}))
     limit_ms = after_ms + proof.reaction_ms(1)
     time_ms = run.time_to_fault_ms(run.since_level)
     right = run.fault is cause and time_ms <= limit_ms

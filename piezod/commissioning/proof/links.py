@@ -1,6 +1,7 @@
 """Links of the proof test: the link of the bench, with one reading or the result of an exchange changed."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 from piezod.transport import ExchangeResult, Link, Reading
@@ -8,44 +9,65 @@ from piezod.transport import ExchangeResult, Link, Reading
 Change = Callable[[Any], Any]
 
 
-class _ChangedReading:
-    """A reading with changed values while `active`."""
-
-    def __init__(self, reading: Reading, changes: dict[str, Change], active: Callable[[], bool]) -> None:
-        self._reading, self._changes, self._active = reading, changes, active
-
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # a value of the device
-        value = getattr(self._reading, name)
-        return self._changes[name](value) if name in self._changes and self._active() else value
-
-
-class ChangedLink:
-    """A link that changes readings, or the results of exchanges, while `active`; it passes on everything else.
+@dataclass(frozen=True)
+class Changes:
+    """Changes of what a link reports.
 
     Parameters
     ----------
-    active
-        Whether to change now.
-    changes
+    readings
         Function of the value for each attribute of the reading that is changed.
     result
         Result in place of OK; None: the result of the exchange.
     silent
         Whether nothing is sent; the result is then TIMEOUT.
+    now
+        Whether to change now, while the link is active.
     """
 
-    def __init__(
-        self,
-        link: Link,
-        active: Callable[[], bool],
-        changes: dict[str, Change] | None = None,
-        *,
-        result: ExchangeResult | None = None,
-        silent: bool = False,
-    ) -> None:
-        self._link, self._active, self._result, self._silent = link, active, result, silent
+    readings: dict[str, Change] = field(default_factory=dict)
+    result: ExchangeResult | None = None
+    silent: bool = False
+    now: Callable[[], bool] = lambda: True
+
+
+UNCHANGED = Changes()
+
+
+class _ChangedReading:
+    """The reading of a link, with its changes."""
+
+    def __init__(self, link: "ChangedLink", reading: Reading) -> None:
+        self._link, self._reading = link, reading
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # a value of the device
+        value, changes = getattr(self._reading, name), self._link.changes.readings
+        return changes[name](value) if name in changes and self._link.is_changed else value
+
+
+class ChangedLink:
+    """A link that changes what it reports while `active`; it passes on everything else.
+
+    Parameters
+    ----------
+    active
+        Whether to change now.
+
+    Attributes
+    ----------
+    changes
+        Present changes.
+    """
+
+    def __init__(self, link: Link, active: Callable[[], bool]) -> None:
+        self._link, self._active, self.changes = link, active, UNCHANGED
         self._silenced = False
-        self.reading = _ChangedReading(link.reading, changes or {}, active)
+        self.reading = _ChangedReading(self, link.reading)
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether to change now."""
+        return self.changes is not UNCHANGED and self._active() and self.changes.now()
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # everything else is the link's own
         return getattr(self._link, name)
@@ -73,12 +95,12 @@ class ChangedLink:
         return self._changed(self._link.poll)
 
     def _changed(self, call: Callable[[], ExchangeResult]) -> ExchangeResult:
-        active = self._active()
-        self._silenced = self._silent and active
+        active, changes = self.is_changed, self.changes
+        self._silenced = changes.silent and active
         if self._silenced:
             return ExchangeResult.TIMEOUT
         result = call()
-        return self._result if active and self._result is not None and result == ExchangeResult.OK else result
+        return changes.result if active and changes.result is not None and result == ExchangeResult.OK else result
 
 
 def frozen() -> Change:

@@ -5,7 +5,7 @@ from math import isfinite, pi, sqrt
 import numpy as np
 
 from piezod.commissioning.proof.bench import ProofBench, Run
-from piezod.commissioning.proof.links import ChangedLink, frozen, shifted
+from piezod.commissioning.proof.links import Changes, frozen, shifted
 from piezod.commissioning.proof.record import ProofStep, skipped, word
 from piezod.control import CAUSE_TEXT, Cause
 from piezod.control.interlocks import STRANGE_SAMPLES
@@ -57,8 +57,8 @@ def prove_rate(proof: ProofBench) -> ProofStep:
     samples = limits.force_debounce_samples
     # the jump lasts: it must still be too fast for the time since the last right sample at the end of the debounce
     rate = min(limits.force_rate_trip_N_per_s, 0.5 * jump_N / ((samples + 1) * proof.bench.dt_s))
-    link = ChangedLink(proof.link, proof.level_reached, {"force_N": shifted(jump_N)})
-    run = proof.hold_level(tightened={"force_rate_trip_N_per_s": rate}, link=link)
+    changes = Changes({"force_N": shifted(jump_N)})
+    run = proof.hold_level(tightened={"force_rate_trip_N_per_s": rate}, changes=changes)
     limit_ms = proof.reaction_ms(samples)
     time_ms = run.time_to_fault_ms(run.since_level & (run.rows["force_N"] > proof.level_N + 0.5 * jump_N))
     right = run.fault is Cause.FORCE_RATE and time_ms <= limit_ms
@@ -91,9 +91,8 @@ def prove_stuck(proof: ProofBench) -> ProofStep:
         return skipped("stuck", "limits.stuck_samples is null")
     travel_V = min(limits.stuck_travel_V, 0.4 * (level_V - limits.voltage_safe_V))
     samples = min(limits.stuck_samples, proof.ticks_of_hold // 4)
-    link = ChangedLink(proof.link, proof.level_reached, {"force_N": frozen()})
     tightened = {"stuck_travel_V": travel_V, "stuck_samples": samples}
-    run = proof.hold_level(tightened=tightened, link=link, falls=True)
+    run = proof.hold_level(tightened=tightened, changes=Changes({"force_N": frozen()}), falls=True)
     limit_ms = proof.reaction_ms(1)
     moved_V = level_V - run.rows["voltage_V"]
     time_ms = run.time_to_fault_ms(run.since_level & (moved_V >= travel_V))
@@ -108,8 +107,7 @@ def prove_readback(proof: ProofBench) -> ProofStep:
     if limits.readback_trip_V is None or not proof.bench.has_role("voltage_readback"):
         return skipped("readback", "the bench has no voltage read-back, or limits.readback_trip_V is null")
     shift_V = 2.0 * limits.readback_trip_V
-    link = ChangedLink(proof.link, proof.level_reached, {"voltage_readback_V": shifted(shift_V)})
-    run = proof.hold_level(link=link)
+    run = proof.hold_level(changes=Changes({"voltage_readback_V": shifted(shift_V)}))
     limit_ms = 2.0 * limits.readback_trip_ms + proof.reaction_ms(0)
     deviating = abs(run.rows["readback_V"] - run.rows["voltage_V"]) > limits.readback_trip_V
     time_ms = run.time_to_fault_ms(run.since_level & deviating)
@@ -128,7 +126,7 @@ def prove_heat(proof: ProofBench) -> ProofStep:
     per_V2 = 0.5 * pi * limits.capacitance_F * limits.loss_tangent / limits.dissipation_over_s
     rise_V = proof.level_V - limits.voltage_safe_V
     most_W = min(limits.dissipation_max_W, 0.5 * per_V2 * rise_V**2)
-    run = proof.hold_level(tightened={"dissipation_max_W": most_W})
+    run = proof.hold_level(tightened={"dissipation_max_W": most_W}, cold=True)
     limit_ms = proof.reaction_ms(1)
     risen_V = run.rows["voltage_V"] - limits.voltage_safe_V
     time_ms = run.time_to_fault_ms((risen_V > sqrt(most_W / per_V2)) | run.tripped)  # the sign check adds some before

@@ -4,13 +4,12 @@ Each step (`STEPS`) arms the bench with every precondition, drives `PROOF_SHARE`
 reaction: by a tightened limit, by a changed reading or by withheld exchanges, never by a higher voltage. A function
 that the bench lacks is skipped with its reason, and counts as not proven where a trip is configured (`coverage.py`).
 
-The bench is left at rest in any case, also after Ctrl-C. The record is written even when a step fails.
+The test is driven by a service, as all that drives: `piezod stop` and `piezod status` work on it. The bench is left at
+rest in any case, also after Ctrl-C. The record is written even when a step fails.
 """
 
-import contextlib
-import signal
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +27,10 @@ from piezod.commissioning.proof.record import (
 )
 from piezod.commissioning.safe_stop import bring_to_rest
 from piezod.config import BenchConfig
-from piezod.control import real_time
-from piezod.errors import PiezodError
-from piezod.session.assembly import load_bench_without_model, opened_link
-from piezod.session.lock import lock_bench
+from piezod.control import ControlLoop, RateKeeper
+from piezod.daemon.run import drive
+from piezod.errors import CheckFailedError, PiezodError
+from piezod.session.assembly import load_bench_without_model
 from piezod.transport import Link
 
 
@@ -66,33 +65,50 @@ def prove(path: Path, output: Path | None = None, tester: str = "") -> tuple[dic
     bench = load_bench_without_model(path)
     now = utc_now()
     target = record_path(bench, output, now)
-    lock = lock_bench(bench)
-    try:
-        with opened_link(bench) as link, warnings.catch_warnings(action="ignore"), real_time(bench.real_time):
-            end = _run_steps(bench, link)
-            record = make_record(bench, link, end, now, tuple(STEPS), tester)
-    finally:
-        lock.close()
+    _, outcome = drive(path, bench, None, [], lambda _: None, ProofTest(now, tester))
+    record: dict[str, Any] | None = outcome.returned
+    if record is None:
+        raise CheckFailedError(f"{path}: stopped before the proof test began; nothing was driven")
     folder = target.parent if bench.proof is None else path.parent / (bench.proof.folder or "")
     record |= compare(record, earlier_records(bench, folder, now))
     write_record(record, target)
     return record, target
 
 
-def _run_steps(bench: BenchConfig, link: Link) -> ProofEnd:
-    """Do the steps until one cannot be done or Ctrl-C; after each, bring the bench to rest."""
-    steps: list[ProofStep] = []
-    with ProofBench(bench, link) as proof, _interruptible(proof):
+class ProofTest:
+    """The proof test in the control process (`session.task.Program`); its result is the record.
+
+    Parameters
+    ----------
+    now
+        Time of the begin, UTC.
+    tester
+        Name of the person who tests; empty: the user of this process.
+    """
+
+    def __init__(self, now: datetime, tester: str) -> None:
+        self._now, self._tester = now, tester
+
+    def prepare(self, bench: BenchConfig, link: Link, clock: RateKeeper) -> Link:
+        """Link whose readings a step can change."""
+        self._bench, self._link, self._proof = bench, link, ProofBench(bench, link, clock)
+        return self._proof.link
+
+    def run(self, loop: ControlLoop) -> dict[str, Any]:
+        """Do the steps until one cannot be done or a stop comes; after each, bring the bench to rest."""
+        proof, steps = self._proof, list[ProofStep]()
+        proof.begin(loop)
         for name, step in STEPS.items():
             try:
                 steps.append(step(proof))
             except PiezodError as error:
                 steps.append(ProofStep(name, "fail", detail=str(error)))
             finally:
-                failure = _rest(bench, link)
+                failure = _rest(self._bench, self._link)
             if failure or proof.interrupted or (name == "level" and steps[-1].result == "fail"):
                 break
-    return ProofEnd(steps, failure, proof.interrupted)
+        end = ProofEnd(steps, failure, proof.interrupted)
+        return make_record(self._bench, self._link, end, self._now, tuple(STEPS), self._tester)
 
 
 def _rest(bench: BenchConfig, link: Link) -> str:
@@ -102,18 +118,6 @@ def _rest(bench: BenchConfig, link: Link) -> str:
     except PiezodError as error:
         return str(error)
     return ""
-
-
-@contextlib.contextmanager
-def _interruptible(proof: ProofBench) -> Iterator[None]:
-    """Let SIGINT and SIGTERM request a ramp down in place of an exception in the middle of an exchange."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda *_: proof.interrupt()) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
 
 
 STEPS: dict[str, Callable[[ProofBench], ProofStep]] = {

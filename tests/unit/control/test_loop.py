@@ -156,7 +156,10 @@ def test_a_live_reference_that_falls_silent_is_held_and_followed_again_when_it_r
 
 def test_watch_writes_no_voltage(ring_log):
     link = FakeLink()
-    make_loop(link, ring_log).watch(50)
+    loop = make_loop(link, ring_log)
+    for _ in range(50):
+        loop.run_tick()
+        loop.wait()
     assert link.voltages == []
 
 

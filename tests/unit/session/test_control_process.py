@@ -91,7 +91,7 @@ def test_a_parent_that_died_before_its_signal_was_requested_is_noticed(monkeypat
 
 def test_only_a_second_stop_is_hasty_and_closing_never_is(tmp_path, monkeypatch):
     bench = load_bench(shipped("bench.yaml"))
-    session = Session(bench, None, shipped("bench.yaml").parent, [], lock=SimpleNamespace())
+    session = Session(Task(bench, None, shipped("bench.yaml").parent, ()), SimpleNamespace())
     sent = []
     monkeypatch.setattr(session, "_signal", sent.append)
     session.stop()
