@@ -138,9 +138,9 @@ async def _publish_values(client: Any, bench: BenchConfig, newest: Newest, send_
     while True:
         values = await loop.run_in_executor(None, newest.read)
         if values is not None:
-            await client.publish(ticks, json.dumps(values | {"stale": False}))
+            await client.publish(ticks, json.dumps(values | {"stale": newest.stale}))
         elif newest.last is not None and newest.stale and loop.time() >= next_status_s:
-            await client.publish(ticks, json.dumps(newest.last | {"stale": True, "age_s": newest.age_s}))
+            await client.publish(ticks, json.dumps(newest.last | {"stale": True, "age_s": newest.age.age_s}))
         if loop.time() >= next_status_s:
             next_status_s = loop.time() + STATUS_EVERY_S
             await client.publish(status, json.dumps(await loop.run_in_executor(None, asked, send_command)), retain=True)

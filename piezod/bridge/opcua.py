@@ -94,30 +94,22 @@ async def serve(
 
 
 async def _update(nodes: dict[str, Any], newest: Newest) -> None:
-    """Write the newest values to the nodes until cancelled; mark them when they are stale."""
-    loop, is_good = asyncio.get_running_loop(), True
-    while True:
-        values = await loop.run_in_executor(None, newest.read)
-        if values is not None:
-            for name, node in nodes.items():
-                await node.write_value(_value(values, name))
-            is_good = True
-        elif newest.stale:
-            if is_good:
-                await _mark_stale(nodes)
-            is_good = False
-            await nodes["age_s"].write_value(math.nan if newest.age_s is None else newest.age_s)
-        await asyncio.sleep(UPDATE_EVERY_S)
-
-
-async def _mark_stale(nodes: dict[str, Any]) -> None:
-    """Give the last values the status of a lost source, until a new tick comes."""
+    """Write the newest values to the nodes until cancelled, with the status of a lost source while they are stale."""
     from asyncua import ua  # noqa: PLC0415  # optional
 
-    for name, node in nodes.items():
-        if name != "age_s":
-            last = await node.read_data_value(raise_on_bad_status=False)
-            await node.write_value(ua.DataValue(last.Value, ua.StatusCode(ua.StatusCodes.BadNoCommunication)))
+    loop = asyncio.get_running_loop()
+    while True:
+        values, stale = await loop.run_in_executor(None, newest.read), newest.stale
+        status = ua.StatusCode(ua.StatusCodes.BadNoCommunication if stale else ua.StatusCodes.Good)
+        for name, node in nodes.items() if stale or values is not None else ():
+            if name == "age_s":
+                await node.write_value(math.nan if newest.age.age_s is None else newest.age.age_s)
+            elif values is not None:
+                await node.write_value(ua.DataValue(ua.Variant(_value(values, name)), status))
+            else:
+                last = await node.read_data_value(raise_on_bad_status=False)
+                await node.write_value(ua.DataValue(last.Value, status))
+        await asyncio.sleep(UPDATE_EVERY_S)
 
 
 def _value(values: Values, name: str) -> float | int | str:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from piezod.control import CAUSE_TEXT, Cause, RingReader, State
 from piezod.errors import PiezodError
-from piezod.recording.age import age_s, is_stale
+from piezod.recording.age import ValueAge
 from piezod.runtime import clock
 
 Values = dict[str, float | int | str | None]
@@ -29,6 +29,8 @@ class Newest:
 
     Attributes
     ----------
+    age
+        Age of the values.
     last
         Result of the last `read` that was not None; None before.
     """
@@ -38,18 +40,13 @@ class Newest:
         self._ring: RingReader | None = None
         self._identity: tuple[int, int] | None = None
         self._dt_s = dt_s
-        self._time_ns: int | None = None
+        self.age = ValueAge()
         self.last: Values | None = None
 
     @property
-    def age_s(self) -> float | None:
-        """Age of the newest tick [s]; None before the first one."""
-        return None if self._time_ns is None else age_s(self._time_ns)
-
-    @property
     def stale(self) -> bool:
-        """Whether the newest tick is so old that its values are no present values."""
-        return is_stale(self.age_s, self._dt_s)
+        """Whether the device gave the values so long ago that they are no present values."""
+        return self.age.is_stale(self._dt_s)
 
     def read(self) -> Values | None:
         """The newest tick; None: none came since the last call.
@@ -63,12 +60,11 @@ class Newest:
         self._open()
         if self._ring is None or not self._ring.waiting:
             return None
-        self._ring.seek(self._ring.next + self._ring.waiting - 1)
         rows = self._ring.read()
         if not rows.size:
             return None
+        self.age.add(rows)
         row = rows[-1]
-        self._time_ns = int(row["time_ns"])
         since_boot_ns = clock.boot_ns()
         values: Values = {
             "time_s": (clock.wall_ns() - since_boot_ns + int(row["time_ns"])) * 1e-9,
@@ -77,7 +73,7 @@ class Newest:
             "cause": CAUSE_TEXT[Cause(int(row["cause"]))],
         }
         values |= {name: _finite(float(row[name])) for name in MEASURED}
-        self.last = values | {"lateness_s": int(row["lateness_ns"]) * 1e-9, "age_s": age_s(self._time_ns)}
+        self.last = values | {"lateness_s": int(row["lateness_ns"]) * 1e-9, "age_s": self.age.age_s}
         return self.last
 
     def _open(self) -> None:

@@ -26,7 +26,6 @@ from piezod.daemon.railed import RailedWatch
 from piezod.daemon.statistics import BOUNDS_S, DurationHistogram, TickStatistics
 from piezod.errors import BusyError
 from piezod.recorder.watch import RecorderWatch
-from piezod.recording.age import is_stale
 from piezod.runtime import sockets
 from piezod.transport import ExchangeResult
 
@@ -112,11 +111,11 @@ class BenchMetrics(Collector):
         self._learning = learning
 
     def _age_metrics(self) -> Iterable[Metric]:
-        age = self._statistics.age_s
+        age = self._statistics.age
         proof_s = None if self._proof is None else self._proof.age_s
         for name, text, value in (
-            ("piezod_age_seconds", "Age of the last values; absent before the first tick", age),
-            ("piezod_stale", "1 while the values are older than a second and three ticks", is_stale(age, self._dt_s)),
+            ("piezod_age_seconds", "Time since the last good exchange; absent before the first one", age.age_s),
+            ("piezod_stale", "1 while the values are older than a second and three ticks", age.is_stale(self._dt_s)),
             ("piezod_proof_age_seconds", "Time since the last proof test that was passed; absent without one", proof_s),
             ("piezod_log_lines_dropped", "Log lines that nobody read in time", JOURNAL.dropped),
         ):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.control import CAUSE_TEXT, Cause, State
-from piezod.recording.age import age_s
+from piezod.recording.age import ValueAge
 from piezod.recording.ticks import GOOD, pair_rows
 from piezod.session.history import is_tracking
 from piezod.transport import ExchangeResult
@@ -90,6 +90,8 @@ class TickStatistics:
     ----------
     last
         Last row of the session; None before its first row.
+    age
+        Age of the values.
     ticks, missed
         Number of ticks that ran, and of ticks that were skipped.
     results
@@ -111,6 +113,7 @@ class TickStatistics:
         self._state = State.DISARMED
         self._next_tick: int | None = None
         self.last: np.void | None = None
+        self.age = ValueAge()
         self.ticks = self.missed = 0
         self.results = np.zeros(len(ExchangeResult), dtype=np.int64)
         self.faults: dict[str, int] = {}
@@ -134,6 +137,7 @@ class TickStatistics:
         if not rows.size:
             return
         self.last = rows[-1].copy()
+        self.age.add(rows)
         self.ticks += int(rows.size)
         first = int(rows["tick"][0]) if self._next_tick is None else self._next_tick
         self._next_tick = int(rows["tick"][-1]) + 1
@@ -150,11 +154,6 @@ class TickStatistics:
                 name = Cause(row["cause"]).name.lower()
                 self.faults[name] = self.faults.get(name, 0) + 1
             self._on_transition(self._state, Cause(row["cause"]), row)
-
-    @property
-    def age_s(self) -> float | None:
-        """Age of the last row [s]; None before the first row of a session."""
-        return None if self.last is None else age_s(int(self.last["time_ns"]))
 
     @property
     def state(self) -> State:

@@ -12,7 +12,6 @@ from piezod.control.references import counts_dict
 from piezod.daemon.journal import JOURNAL
 from piezod.daemon.last_check import check_text
 from piezod.daemon.proof_date import proof_text
-from piezod.recording.age import is_stale
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,7 +66,9 @@ def status_dict(
     up_s
         Time since the start of the daemon [s].
     """
-    drift, preview, age = model_watch.drift, model_watch.preview, statistics.age_s
+    drift, preview, age_s = model_watch.drift, model_watch.preview, statistics.age.age_s
+    stale = statistics.age.is_stale(bench.dt_s)
+    silent = "no good exchange with the device; check cable and device" if channel.connected and stale else ""
     return {
         "schema": "piezod.status/1",
         "version": __version__,
@@ -75,11 +76,11 @@ def status_dict(
         "config": str(path.resolve()),
         "model": None if bench.model is None else str(bench.model),
         "rate_Hz": bench.rate_Hz,
-        "connected": channel.connected,
-        "problem": channel.problem,
+        "connected": channel.connected and not stale,
+        "problem": channel.problem or silent,
         "up_s": round(up_s, 3),
-        "age_s": None if age is None else round(age, 3),
-        "stale": is_stale(age, bench.dt_s),
+        "age_s": None if age_s is None else round(age_s, 3),
+        "stale": stale,
         "log_lines_dropped": JOURNAL.dropped,
         "rows_dropped": 0 if channel.session is None else channel.session.dropped,
         "reference_values": reference_values(bench, channel),

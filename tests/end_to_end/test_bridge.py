@@ -12,8 +12,12 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
+from piezod.bridge.values import Newest
+from piezod.control import ROW_DTYPE, RingLog
+from piezod.transport import ExchangeResult
 from tests.benches.certificates import openssl
 from tests.benches.daemon import LONG_LIMITS, WITHIN_S, daemon
 from tests.benches.emulator import bench_file, emulator, piezod
@@ -177,8 +181,8 @@ def test_a_client_reads_nodes_that_it_cannot_write_and_finds_no_methods(bench):
     assert methods == []
 
 
-@pytest.mark.parametrize("how", ["killed", "standing"])
-def test_values_of_a_daemon_that_is_killed_or_stands_are_bad(tmp_path, how):
+@pytest.mark.parametrize("how", ["killed", "standing", "without a device"])
+def test_values_of_a_daemon_that_is_killed_or_stands_or_has_lost_its_device_are_bad(tmp_path, how):
     asyncua = pytest.importorskip("asyncua")
     port = free_port()
 
@@ -192,7 +196,10 @@ def test_values_of_a_daemon_that_is_killed_or_stands_are_bad(tmp_path, how):
             force, age = await folder.get_child(f"{index}:force_N"), await folder.get_child(f"{index}:age_s")
             assert await good(force)
             control = running.control_pid()
-            os.kill(control, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+            if how == "without a device":
+                device.close()
+            else:
+                os.kill(control, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
             if how == "killed":
                 running.signal(signal.SIGKILL)
             try:
@@ -200,17 +207,37 @@ def test_values_of_a_daemon_that_is_killed_or_stands_are_bad(tmp_path, how):
                 while await good(force):
                     assert time.monotonic() < deadline_s
                     await asyncio.sleep(0.05)
+                if how == "without a device":
+                    status = running.status()
+                    assert status["state"] == "DISARMED"
+                    assert (status["connected"], status["stale"]) == (False, True)
+                    assert "no good exchange with the device" in status["problem"]
                 return await age.read_value()
             finally:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(control, signal.SIGCONT)
 
-    with emulator("--port", "0") as served:
+    with contextlib.ExitStack() as device:
+        served = device.enter_context(emulator("--port", "0"))
         path = bench_file(tmp_path, served, rate_Hz=100, limits=LONG_LIMITS)
         with daemon(path) as running:
             running.connected()
             with bridge(path, "--opcua", port):
                 assert 1.0 < asyncio.run(run()) < WITHIN_S
+
+
+def test_the_bridge_takes_the_age_from_the_last_good_exchange(tmp_path):
+    log, now_ns = RingLog(tmp_path / "ring", 100), time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+    rows = np.zeros(2, ROW_DTYPE)
+    rows["tick"], rows["time_ns"], rows["result"] = (1, 2), (now_ns - 8 * 10**9, now_ns), (0, ExchangeResult.TIMEOUT)
+    for row in rows:
+        log.append(*row.tolist())
+    newest = Newest(tmp_path / "ring", 0.01)
+    values = newest.read()
+    assert values["tick"] == 2
+    assert values["age_s"] == pytest.approx(8.0, abs=0.5)
+    assert newest.stale
+    log.close()
 
 
 def certificates_in(folder):

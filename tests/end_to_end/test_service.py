@@ -238,7 +238,7 @@ def test_a_device_that_does_not_answer_is_waited_for_and_found(tmp_path):
         assert "refused" in service.status()["problem"]
         with emulator("--port", port):
             service.connected()
-            assert service.status()["connected"]
+            service.wait_until(lambda: service.status()["connected"], "the first good exchange")
             assert service.status()["state"] == "DISARMED"
             assert service.end() == 0
 

@@ -158,13 +158,13 @@ def test_a_fault_is_on_the_screen_before_the_curves_have_gone_on_for_a_second(be
 def test_the_page_goes_on_when_the_daemon_was_killed_and_started_again(bench, browser):
     with watch(bench) as (_, address):
         page, errors = open_page(browser, address)
-        shows(page, "NO TICKS")
+        shows(page, "STALE")
         with daemon(bench) as service:
             service.connected()
             shows(page, "DISARMED")
             service.signal(signal.SIGKILL)
             service.process.wait(timeout=WITHIN_S)
-        shows(page, "NO TICKS")
+        shows(page, "STALE")
         time.sleep(2.5)  # the control process ends by itself
         with daemon(bench) as service:
             service.connected()

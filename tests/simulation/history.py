@@ -549,10 +549,11 @@ class History:
         held = machine.now_ns < machine.stalled_until_ns + TOLD_WITHIN_S * SECOND
         if self.control is None or held or not self.alive or service.stopped_until_ns or self.excused & {"row"}:
             return
-        rows = self._rows()
+        rows = self._rows(most=10_000)
         if rows is None or is_stale:
             return
-        age_s = 1e-9 * (machine.now_ns - int(rows["time_ns"][-1]))
+        good_ns = rows["time_ns"][rows["result"] == 0]
+        age_s = 1e-9 * (machine.now_ns - int(good_ns[-1])) if good_ns.size else math.inf
         if age_s > STALE_AFTER_S + TOLD_WITHIN_S:
             self.violate("told", f"values {age_s:.2f} s old are told as present ones")
         lately = rows["time_ns"] >= rows["time_ns"][-1] - TOLD_WITHIN_S * SECOND

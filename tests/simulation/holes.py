@@ -160,6 +160,9 @@ HOLES = {
         "piezod.recording.age", "return age_s is None or age_s > max(STALE_AFTER_S, STALE_TICKS * dt_s)",
         "return age_s is None", "G11: values 8 s old without a word",
     ),
+    "a failed exchange gives values": Hole(
+        "piezod.recording.age", 'rows["result"] == GOOD', 'rows["result"] >= GOOD', "H8: age of the row",
+    ),
     "a kill keeps the heat of before": Hole(
         "piezod.session.heat_file", "            self._path.unlink()\n        except", "        except",
         "F9: heat is forgotten",

@@ -223,8 +223,18 @@ def _unsent(rng, time_s, events):
     return time_s + 5.5
 
 
+def _silent(rng, time_s, events):
+    """The device is silent while nothing is driven, and clients ask for its values."""
+    events[:] = [event for event in events if event.name != "arm"]
+    events.append(Event(time_s, *rng.choice((("cut", (4.0,)), ("refuse_connections", (4.0,))))))
+    for _ in range(3):
+        asked = rng.choice((("status", ()), ("scrape", (1, 0))))
+        events.append(Event(time_s + rng.uniform(0.5, 3.9), *asked))
+    return time_s + 5.0
+
+
 PROLOGUES = (_nothing, _nothing, _trip, _replies, _replies, _stopped, _starting, _starting, _removed, _watchdog, _late,
-             _alone, _unsent)  # fmt: skip
+             _alone, _unsent, _silent)  # fmt: skip
 """Begins of a history in which one thing only goes wrong."""
 
 

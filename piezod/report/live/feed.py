@@ -6,7 +6,6 @@ when the device or inode number changes. The control process is not involved.
 
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, RingReader, State
 from piezod.errors import PiezodError
+from piezod.recording.age import ValueAge
 from piezod.report.figures.durations import RecentDurations
 from piezod.report.live.curves import Curves, Rows
 
@@ -22,7 +22,6 @@ WINDOW_s = 30.0  # length of curves over time and histograms
 SEGMENT_s = 0.05  # drawn by its smallest and its largest value
 LOOP_POINTS = 2400
 SHORTEST_LOOP_s, LONGEST_LOOP_s = 20.0, 600.0
-STALE_AFTER_s = 1.0
 MOST_EVENTS = 50
 
 
@@ -42,18 +41,15 @@ class Feed:
     ----------
     bench
         Configuration with the path of the ring log.
-    clock
-        Monotonic clock [s].
     """
 
-    def __init__(self, bench: BenchConfig, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, bench: BenchConfig) -> None:
         self.bench = bench
-        self._clock = clock
         self._path = bench.ring_log_path
         self._ring: RingReader | None = None
         self._identity: tuple[int, int] | None = None
         self._to_wall_ms = 0.0
-        self._last_rows_s = -np.inf
+        self._age = ValueAge()
         self._noted: tuple[int, int] | None = None  # state and cause of the last event
         recent = round(WINDOW_s * bench.rate_Hz)
         self.curves = Curves(bench.rate_Hz, SEGMENT_s, WINDOW_s, _loop_s(bench), LOOP_POINTS)
@@ -66,8 +62,8 @@ class Feed:
 
     @property
     def stale(self) -> bool:
-        """Whether no tick arrived for one second and for three tick periods."""
-        return self._clock() - self._last_rows_s > max(STALE_AFTER_s, 3.0 * self.bench.dt_s)
+        """Whether the device gave the values so long ago that they are no present values."""
+        return self._age.is_stale(self.bench.dt_s)
 
     def update(self) -> None:
         """Read the new rows of the ring log."""
@@ -117,7 +113,7 @@ class Feed:
         self.exchange.clear()
 
     def _add(self, rows: Rows) -> None:
-        self._last_rows_s = self._clock()
+        self._age.add(rows)
         self.last = rows[-1].copy()
         self.curves.add(rows, self._to_wall_ms + 1000.0 * time.localtime().tm_gmtoff)  # axes show the local time
         self.lateness.add(rows["lateness_ns"])

@@ -13,7 +13,7 @@ from piezod.control import CAUSE_TEXT, Cause, State
 from piezod.report.live.feed import Event, Feed
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 
-NO_TICKS = "NO TICKS"
+STALE = "STALE"
 _COLOURS = {
     State.DISARMED.name: GREY,
     State.ARMING.name: BLUE,
@@ -21,11 +21,11 @@ _COLOURS = {
     State.HOLD.name: ORANGE,
     State.RAMP_DOWN.name: ORANGE,
     State.FAULT.name: RED,
-    NO_TICKS: RED,
+    STALE: RED,
 }
 _SYMBOLS = {
     State.FAULT.name: "\N{MULTIPLICATION SIGN}",
-    NO_TICKS: "?",
+    STALE: "?",
     State.RUNNING.name: "\N{BLACK RIGHT-POINTING TRIANGLE}",
 }
 _NUMBER_AND_UNIT = re.compile(r"(?<=\d) (?=[%\N{DEGREE SIGN}A-Za-z])")
@@ -80,10 +80,13 @@ def state_and_remedy(feed: Feed) -> tuple[str, str, str]:
     feed
         Curves, events and status of the bench as of the last update.
     """
-    if feed.last is None or feed.stale:
-        return NO_TICKS, *_why_no_ticks(feed)
+    if feed.last is None:
+        return STALE, *_why_stale(feed)
     state = State(feed.last["state"])
     reason, _, remedy = CAUSE_TEXT[Cause(feed.last["cause"])].partition("; ")
+    if feed.stale:
+        silent, check = _why_stale(feed)
+        return STALE, f"{silent}; then {state.name}, {reason}", check
     if state is State.FAULT:
         remedy = f"{remedy}; then piezod reset" if remedy else "find the cause, then piezod reset"
     elif state is State.DISARMED and not remedy:
@@ -91,8 +94,8 @@ def state_and_remedy(feed: Feed) -> tuple[str, str, str]:
     return state.name, reason, remedy
 
 
-def _why_no_ticks(feed: Feed) -> tuple[str, str]:
-    """Reason and remedy when no ticks arrive, from the status of the daemon."""
+def _why_stale(feed: Feed) -> tuple[str, str]:
+    """Reason and remedy when no values come from the device, from the status of the daemon."""
     status = feed.status
     if status is None:
         return (

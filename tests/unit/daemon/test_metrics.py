@@ -173,6 +173,17 @@ def test_the_end_of_the_server_with_connected_clients_reports_nothing(caplog):
     assert caplog.records == []
 
 
+def test_a_failed_exchange_gives_no_value_and_makes_none_younger():
+    statistics = TickStatistics(lambda *_: None)
+    now_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+    statistics.add(rows(1, time_ns=now_ns - 8_000_000_000))
+    statistics.add(rows(1, time_ns=now_ns, result=ExchangeResult.TIMEOUT))
+    assert statistics.age.age_s == pytest.approx(8.0, abs=0.2)
+    assert statistics.age.is_stale(0.01)
+    statistics.add(rows(1, time_ns=now_ns))
+    assert not statistics.age.is_stale(0.01)
+
+
 @pytest.mark.parametrize(("age_s", "stale"), [(0.2, 0.0), (1.5, 1.0)])
 def test_the_age_of_the_values_is_told(age_s, stale):
     statistics = TickStatistics(lambda *_: None)

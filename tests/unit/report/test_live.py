@@ -2,6 +2,7 @@
 
 import re
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from piezod.report.live.curves import Curves, RecentPoints
 from piezod.report.live.feed import MOST_EVENTS, Feed
 from piezod.report.live.server import read_token
 from piezod.report.live.status_banner import banner_html, events_html, state_and_remedy
+from piezod.transport import ExchangeResult
 
 
 def words_of(page, feed):
@@ -41,7 +43,15 @@ def rows_of(count, first=0, **fields):
 
 
 @pytest.fixture
-def bench(tmp_path):
+def now_ns(monkeypatch):
+    """Time of the clock that the age of the values is measured by [ns]; the rows are of the first second."""
+    now_ns = [1_000_000_000]
+    monkeypatch.setattr("piezod.recording.age.clock", SimpleNamespace(boot_ns=lambda: now_ns[0]))
+    return now_ns
+
+
+@pytest.fixture
+def bench(tmp_path, now_ns):
     path = tmp_path / "bench.yaml"
     text = shipped("bench.yaml").read_text(encoding="utf-8")
     path.write_text(text.replace("/dev/shm/piezod-{name}.ring", str(tmp_path / "ring")), encoding="utf-8")
@@ -116,7 +126,7 @@ def test_durations_are_counted_in_their_class_and_old_durations_are_dropped():
 def test_the_feed_opens_the_new_ring_after_a_restart_of_the_daemon(bench):
     feed = Feed(bench)
     feed.update()
-    assert state_and_remedy(feed)[0] == "NO TICKS"
+    assert state_and_remedy(feed)[0] == "STALE"
     first = ring_of(bench, rows_of(50))
     feed.update()
     assert state_and_remedy(feed)[0] == "RUNNING"
@@ -138,17 +148,20 @@ def test_a_fault_shows_its_reason_its_remedy_and_reset(bench):
     log.close()
 
 
-def test_stale_values_are_not_shown(bench):
-    now_s = [100.0]
+@pytest.mark.parametrize("device_is_silent", [False, True])
+def test_stale_values_are_not_shown(bench, now_ns, device_is_silent):
     log = ring_of(bench, rows_of(3, force_N=12.34))
-    feed = Feed(bench, lambda: now_s[0])
+    feed = Feed(bench)
     feed.update()
     assert "12.34 N" in words_of(banner_html, feed)
-    now_s[0] += 5.0
+    now_ns[0] += 1_100_000_000
+    if device_is_silent:  # the control process ticks, and no exchange is good
+        for row in rows_of(3, 1000, result=ExchangeResult.TIMEOUT, force_N=np.nan):
+            log.append(*row.tolist())
     feed.update()
     feed.set_status(None, "no <socket>")
     assert "12.34 N" not in words_of(banner_html, feed)
-    assert "NO TICKS" in words_of(banner_html, feed)
+    assert "STALE" in words_of(banner_html, feed)
     assert "no &lt;socket&gt;" in words_of(banner_html, feed)
     log.close()
 
@@ -158,7 +171,7 @@ def test_a_device_that_is_not_connected_shows_the_message_of_the_daemon(bench):
     feed.set_status(
         {"connected": False, "problem": "refused by 10.0.0.7", "ticks": 0, "missed": 0, "failed_exchanges": 0}, ""
     )
-    assert state_and_remedy(feed) == ("NO TICKS", "refused by 10.0.0.7", "the daemon retries automatically")
+    assert state_and_remedy(feed) == ("STALE", "refused by 10.0.0.7", "the daemon retries automatically")
 
 
 @pytest.mark.parametrize(("rms_N", "shown"), [(None, False), (0.126, True)])
@@ -248,13 +261,12 @@ def test_a_bench_that_has_left_its_model_is_red(bench, drifted, outside, kind, w
     assert f"<div class='value {kind}'><span>model</span><b>{words}, 0.50 N rms</b>" in words_of(banner_html, feed)
 
 
-def test_stale_values_are_marked(bench):
-    now_s = [100.0]
+def test_stale_values_are_marked(bench, now_ns):
     log = ring_of(bench, rows_of(3, force_N=12.34))
-    feed = Feed(bench, lambda: now_s[0])
+    feed = Feed(bench)
     feed.update()
     assert "<div class='value '><span>force</span>" in words_of(banner_html, feed)
-    now_s[0] += 5.0
+    now_ns[0] += 5_000_000_000
     feed.update()
     assert "<div class='value bad'><span>force</span>" in words_of(banner_html, feed)
     log.close()

@@ -247,6 +247,7 @@ def test_a_holder_that_stands_still_keeps_out_a_stop_until_it_is_killed(tmp_path
     (tmp_path / "x.lock").write_text(f"{child.pid}\n")
     os.close(lock._held.pop(tmp_path / "x.lock"))
     os.kill(child.pid, signal.SIGSTOP)
+    os.waitpid(child.pid, os.WUNTRACED)
     with pytest.raises(BusyError):
         BenchLock(tmp_path / "x.lock", stopping=True)
     child.kill()
