@@ -19,7 +19,7 @@ COARSEST_CLOCK_S = 1e-6
 
 
 def check_machine(bench: BenchConfig) -> Iterator[Check]:
-    """Check this machine; nothing is written."""
+    """Check this machine without a change of it."""
     yield from _recorder(bench)
     yield _clock()
     yield from _real_time_rights(bench)

@@ -168,8 +168,8 @@ def discover(host: str | None, port: int | None, unit_id: int | None) -> list[st
     host, port, unit_id
         Address of a device, read with TCP and with RTU frames; None: none, 502, and 1.
     """
-    found = serial_ports()
-    lines = [f"serial port {one.path}: {one.description}" for one in found] or ["no serial port was found"]
+    ports = serial_ports()
+    lines = [f"serial port {port.path}: {port.description}" for port in ports] or ["no serial port was found"]
     if host is None:
         return lines
     number, unit = PLAIN_PORT if port is None else port, 1 if unit_id is None else unit_id

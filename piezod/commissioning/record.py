@@ -52,7 +52,7 @@ def record_excitation(
     Returns
     -------
     tuple
-        Recording, and outcome of the session. After a fault or a stop the recording has what was driven.
+        Recording, and outcome of the session. After a fault or a stop the recording has the driven part.
 
     Raises
     ------

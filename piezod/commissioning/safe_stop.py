@@ -64,9 +64,9 @@ def stop_directly(path: Path) -> str:
 
 
 def _stop_driver(bench: BenchConfig) -> str:
-    """Stop the program that drives the bench; the result tells its output at rest, and is empty without one."""
+    """Stop the program that drives the bench; return a message with its state at rest, empty without a program."""
     with contextlib.suppress(PiezodError):
-        stop_path.urge(bench.stop_socket_path, "stop", client.URGE_WITHIN_S)  # a program that hangs is asked no more
+        stop_path.urge(bench.stop_socket_path, "stop", client.URGE_WITHIN_S)  # a program that hangs is left alone
         status = client.command_and_wait(bench.socket_path, "stop", wait=True)
         output_V = status.get("readback_V")
         at_rest = status.get("state") == "DISARMED" if output_V is None else _at_rest(bench, output_V)

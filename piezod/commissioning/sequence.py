@@ -145,8 +145,8 @@ def _step_checks(bench: BenchConfig, model: Model, folder: Path) -> Iterator[Che
         return
     low_N, high_N = bench.limits.force_min_N, bench.limits.force_trip_N
     if force_N.min() <= low_N or force_N.max() >= high_N:
-        found = f"{force_N.min():.6g} to {force_N.max():.6g} N, must be within limits.force_min_N and force_trip_N, "
-        yield Check("reference", "FAIL", f"{found}{low_N:g} to {high_N:g} N")
+        span = f"{force_N.min():.6g} to {force_N.max():.6g} N, must be within limits.force_min_N and force_trip_N, "
+        yield Check("reference", "FAIL", f"{span}{low_N:g} to {high_N:g} N")
         return
     yield from check_reference(bench, model, folder)
 

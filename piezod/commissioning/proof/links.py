@@ -11,7 +11,7 @@ Change = Callable[[Any], Any]
 
 @dataclass(frozen=True)
 class Changes:
-    """Changes of what a link reports.
+    """Changes of the report of a link.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class _ChangedReading:
 
 
 class ChangedLink:
-    """A link that changes what it reports while `active`; it passes on everything else.
+    """A link that changes its report while `active`; it passes on everything else.
 
     Parameters
     ----------
