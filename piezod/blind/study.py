@@ -4,13 +4,13 @@ The simulated plant shares no code with this package; only its command line is u
 """
 
 import subprocess
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from piezod.blind.case import DESCRIPTION
 from piezod.blind.verdict import read_verdict
 from piezod.errors import CheckFailedError, ConfigurationError, PiezodError, UsageError
+from piezod.runtime.interpreter import python
 
 MODULE = "firmware_sim.concealed"  # module whose command makes and scores a study
 PROGRESS_EVERY_S = 0.2  # time between two reports of progress [s]
@@ -39,7 +39,7 @@ def make_study(directory: Path, options: Mapping[str, object], on_cases: Callabl
         for name, value in options.items()
         if value is not None and value is not False
     ]
-    command = [sys.executable, "-m", MODULE, "make", str(directory), *given]
+    command = python("-m", MODULE, "make", str(directory), *given)
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as plant:  # noqa: S603  # our own interpreter
         try:
             while True:
@@ -77,7 +77,7 @@ def score_study(directory: Path, verdicts: Path, *, as_json: bool, partial: bool
         The truth differs from the sealed one, or a verdict is missing.
     """
     flags = [*(["--json"] if as_json else []), *(["--partial"] if partial else [])]
-    command = [sys.executable, "-m", MODULE, "score", str(directory), str(verdicts), *flags]
+    command = python("-m", MODULE, "score", str(directory), str(verdicts), *flags)
     done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603  # as above
     _check(done.returncode, done.stderr)
     return done.stdout if as_json else done.stdout + _failures(verdicts)

@@ -6,13 +6,12 @@ truth. So a score counts the failure as wrong and never leaves it out.
 
 import hashlib
 import json
-import shutil
-import tempfile
 from pathlib import Path
 
 from piezod import __version__
 from piezod.blind.case import SEAL
 from piezod.errors import ConfigurationError, UsageError
+from piezod.runtime.files import written, written_folder
 from piezod.tasks.task import RUN, Outcome, failed_outcome, read_outcome
 
 FINDINGS, STUDY = "findings.json", "study.json"
@@ -103,9 +102,8 @@ class VerdictFolder:
         sealed = hashlib.sha256((study / SEAL).read_bytes()).hexdigest()
         mark = folder / STUDY
         try:
-            folder.mkdir(parents=True, exist_ok=True)
             if not mark.is_file():
-                mark.write_text(json.dumps({"schema": SCHEMA, "seal_sha256": sealed}) + "\n", encoding="utf-8")
+                written(mark, json.dumps({"schema": SCHEMA, "seal_sha256": sealed}) + "\n", parents=True)
             known = json.loads(mark.read_text(encoding="utf-8"))["seal_sha256"]
         except OSError as error:
             raise ConfigurationError(f"{folder}: cannot be written: {error.strerror}") from error
@@ -127,14 +125,4 @@ class VerdictFolder:
         ConfigurationError
             The verdict cannot be written.
         """
-        target = self._folder / verdict.name
-        try:
-            with tempfile.TemporaryDirectory(prefix=f".{verdict.name}.", dir=self._folder) as temporary:
-                part = Path(temporary) / verdict.name
-                part.mkdir()
-                for name, content in verdict.files.items():
-                    (part / name).write_bytes(content)
-                shutil.rmtree(target, ignore_errors=True)
-                part.rename(target)
-        except OSError as error:
-            raise ConfigurationError(f"{target}: cannot be written: {error.strerror}") from error
+        written_folder(self._folder / verdict.name, verdict.files)

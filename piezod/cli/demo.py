@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from piezod.cli.root import app, print_next
+from piezod.runtime.files import written
 
 if TYPE_CHECKING:
     from piezod.recording import Recording
@@ -46,7 +47,7 @@ def demo(
     print_next(step)
     if json_file is not None:
         content = json.dumps(verdict.as_dict() | {"next_step": step.as_dict()}, indent=2)
-        json_file.write_text(f"{content}\n", encoding="utf-8")
+        written(json_file, f"{content}\n")
     raise typer.Exit(0 if verdict.passed else 1)
 
 

@@ -90,14 +90,15 @@ def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, f
     make_folder(output)  # before anything is driven
     with progress(f"{len(plan.ticks)} steps", plan.duration_s) as show:
         result = run_sequence(plan, config, show)
-    from piezod.report.tracking.sequence import evaluate_sequence, sequence_text, write_junit, write_sequence_page
+    from piezod.report.tracking.sequence import evaluate_sequence, junit_xml, sequence_text, write_sequence_page
+    from piezod.runtime.files import written
 
     verdict = evaluate_sequence(plan.sequence, result.runs, result.outcome)
     step = after_sequence(config, path, model, passed=verdict.passed, fault=result.outcome.fault)
     for number, run in enumerate(result.runs, 1):
         if run.recording.time_s.size:
             write_recording(run.recording, output / f"step_{number}.csv")
-    write_junit(output / "junit.xml", verdict)
+    written(output / "junit.xml", junit_xml(verdict))
     write_sequence_page(output / "sequence.html", verdict, result.runs, step)
     if as_json:
         print(json.dumps(verdict.as_dict() | {"next_step": step.as_dict()}, indent=2))

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import yaml
 from piezod.commissioning.shipped_files import shipped
 from piezod.config import BenchConfig, load_bench
 from piezod.errors import UnreachableError
+from piezod.runtime.interpreter import python
 
 VIRTUAL_RATE_HZ = 200  # tick rate in virtual time [Hz]: high enough for recordings at 0.1 Hz, and fast to emulate
 STANDSTILL_MS = 500
@@ -32,7 +32,7 @@ def emulator_process(config: Path, *arguments: str) -> Iterator[dict[str, str]]:
     UnreachableError
         The emulator did not start.
     """
-    command = [sys.executable, "-m", "firmware_sim", str(config), "--until-stdin-closes", *arguments]
+    command = python("-m", "firmware_sim", str(config), "--until-stdin-closes", *arguments)
     process = subprocess.Popen(  # noqa: S603  # our own interpreter and module
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
     )

@@ -3,7 +3,6 @@
 The device may be read, and is never written to.
 """
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,8 @@ from piezod.commissioning.shipped_files import shipped
 from piezod.config import BenchConfig, Document, bench_of, read_document, replace_values
 from piezod.config.bench import SCHEMA
 from piezod.config.link import PLAIN_PORT, ModbusRtuLink, ModbusTcpLink, RtuOverTcpLink, SerialLineLink
-from piezod.errors import ConfigurationError, PiezodError, UsageError
+from piezod.errors import PiezodError, UsageError
+from piezod.runtime.files import written
 from piezod.session.assembly import opened_link
 from piezod.transport.probe import SILENT, modbus_name, rtu_name, serial_ports
 
@@ -199,16 +199,7 @@ def write_bench(draft: BenchDraft, *, force: bool) -> None:
         The file cannot be written.
     """
     path = draft.path
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        temporary.write_text(draft.text, encoding="utf-8")
-        if force:
-            temporary.replace(path)
-        else:
-            os.link(temporary, path)  # fails if the file exists, also if it was created a moment ago
+        written(path, draft.text, force=force)
     except FileExistsError:
         raise UsageError(f"{path} is there already; name another with -o, or replace it with --force") from None
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        temporary.unlink(missing_ok=True)

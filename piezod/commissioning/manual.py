@@ -21,9 +21,9 @@ from markdown_it.token import Token
 from piezod import __version__
 from piezod.commissioning.shipped_files import shipped, shipped_path
 from piezod.errors import UsageError
-from piezod.report.page import write_text
 from piezod.report.style import PAGE_CSS
 from piezod.report.text_table import text_table
+from piezod.runtime.files import written
 
 FIRST = "overview"  # topic that is shown if none is named
 _READMES = {
@@ -158,7 +158,7 @@ def write_manual(folder: Path) -> None:
         else:
             body = f"<h1>{html.escape(topic.title)}</h1><pre>{html.escape(topic.text)}</pre>"
         page = _TEMPLATE.format(title=html.escape(topic.title), style=_CSS, topics=links, body=body)
-        write_text(folder / f"{topic.name}.html", page)
+        written(folder / f"{topic.name}.html", page, parents=True)
 
 
 def _heading(file: Path) -> str:

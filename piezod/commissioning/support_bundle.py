@@ -27,9 +27,10 @@ from piezod import __version__
 from piezod.config import BenchConfig, all_values, effective_text, load_bench, model_path, read_document
 from piezod.control import CAUSE_TEXT, ROW_DTYPE, Cause, RingReader, State
 from piezod.daemon.client import Client
-from piezod.errors import ConfigurationError, PiezodError
+from piezod.errors import PiezodError
 from piezod.model import file_sha256, load_model
 from piezod.recording import check_absent, check_page
+from piezod.runtime.files import written
 
 REMOVED = "REMOVED"
 LAST_TICKS = 20_000
@@ -80,17 +81,11 @@ def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str
     }
     parts["bundle.json"] = json.dumps(about, indent=2) + "\n"
     parts = {name: text if name == "bench.yaml" else _without(text, _secrets(bench)) for name, text in parts.items()}
-    temporary = output.with_name(f".{output.name}.{os.getpid()}")
-    try:
-        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as bundle:
-            for name, text in parts.items():
-                bundle.writestr(name, text)
-        temporary.chmod(0o600)
-        temporary.replace(output)
-    except OSError as error:
-        raise ConfigurationError(f"{output}: cannot be written: {error.strerror}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as bundle:
+        for name, text in parts.items():
+            bundle.writestr(name, text)
+    written(output, content.getvalue(), mode=0o600)
     return about
 
 

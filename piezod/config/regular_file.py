@@ -3,8 +3,8 @@
 import difflib
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from piezod.errors import ConfigurationError
 
@@ -13,7 +13,7 @@ HEAD_BYTES = 4096  # in which a file of piezod states its schema
 _FLAGS = sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))  # Windows has the last only
 
 
-def open_regular(path: Path, most_bytes: int, schema: bytes = b"") -> BinaryIO:
+def open_regular(path: Path, most_bytes: int, schema: bytes = b"") -> BufferedReader:
     """Open a file for reading; a pipe, device, socket or folder, and a file that is too large, is refused unread.
 
     Parameters

@@ -9,8 +9,10 @@ import grp
 import os
 import socket
 import stat
+import sys
 from pathlib import Path
 
+from piezod.config.regular_file import open_regular
 from piezod.errors import BusyError, ConfigurationError
 from piezod.runtime import sockets
 
@@ -63,11 +65,13 @@ def is_owner(status: os.stat_result) -> bool:
 def _without_magic(path: Path, magic: bytes, head_bytes: int) -> str:
     """Reason why a file was not made by piezod; an empty file, for example a truncated one, may be replaced."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path, sys.maxsize) as file:
             head = file.read(head_bytes or len(magic))
             return "" if magic in head or not head else "exists, and was not made by piezod"
     except OSError as error:
         return f"cannot be read: {error.strerror}"
+    except ConfigurationError as error:
+        return str(error).removeprefix(f"{path}: ")
 
 
 def group_id(group: str | None, key: str) -> int:
@@ -119,9 +123,11 @@ class UnixSocket:
     kind
         `socket.SOCK_STREAM` or `socket.SOCK_DGRAM`.
     key
-        Key of the bench file, for messages.
+        Key of the bench file, for messages; its section has the key `socket_group`.
     mode
-        Permission bits.
+        Permission bits, octal digits.
+    group
+        Name of a group; None: the group of this process.
 
     Attributes
     ----------
@@ -133,10 +139,11 @@ class UnixSocket:
     BusyError
         Another process listens there.
     ConfigurationError
-        Something else than an abandoned socket is there, or the path cannot be bound.
+        Something else than an abandoned socket is there, the path cannot be bound, or the group does not exist.
     """
 
-    def __init__(self, kind: socket.SocketKind, path: Path, key: str, mode: int, gid: int) -> None:
+    def __init__(self, kind: socket.SocketKind, path: Path, key: str, mode: str, group: str | None) -> None:
+        gid = group_id(group, f"{key.partition('.')[0]}.socket_group")
         self._path = path
         self._identity: tuple[int, int] | None = None
         self.socket = sockets.socket(socket.AF_UNIX, kind | socket.SOCK_CLOEXEC)
@@ -148,7 +155,7 @@ class UnixSocket:
             finally:
                 os.umask(before)
             self._identity = _identity(path)
-            set_access(path, mode, gid)
+            set_access(path, int(mode, 8), gid)
             self.socket.setblocking(False)
         except OSError as error:
             self.close()

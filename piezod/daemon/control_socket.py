@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from piezod.config import BenchConfig
-from piezod.config.run_time_files import UnixSocket, group_id
+from piezod.config.run_time_files import UnixSocket
 from piezod.daemon.admission import MAX_CLIENTS, MAX_PER_USER, Admission, Place
 from piezod.daemon.connections import Connections
 from piezod.errors import ConfigurationError, TemporaryError
@@ -85,8 +85,7 @@ class ControlSocket:
             Another daemon listens there.
         """
         path, daemon = self._bench.socket_path, self._bench.daemon
-        gid = group_id(daemon.socket_group, "daemon.socket_group")
-        listener = UnixSocket(socket.SOCK_STREAM, path, "daemon.socket", int(daemon.socket_mode, 8), gid)
+        listener = UnixSocket(socket.SOCK_STREAM, path, "daemon.socket", daemon.socket_mode, daemon.socket_group)
         try:
             self._server = await asyncio.start_unix_server(
                 self._connections.accept, sock=listener.socket, limit=LONGEST_LINE, backlog=ACCEPTED_AT_ONCE

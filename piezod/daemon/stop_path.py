@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from piezod.config import BenchConfig
-from piezod.config.run_time_files import UnixSocket, group_id
+from piezod.config.run_time_files import UnixSocket
 from piezod.errors import TemporaryError
 from piezod.runtime import clock, descriptors, sockets, threads
 
@@ -48,7 +48,7 @@ class StopPath:
         self._listener: UnixSocket | None = None
         self._thread: threads.Thread | None = None
         self._end_reader = self._end_writer = self._reserve = -1
-        self._clients: dict[socket.socket, float] = {}
+        self._clients: dict[socket.socket, tuple[float, bytes]] = {}  # when accepted [s], and the line that it began
 
     def open(self) -> None:
         """Listen, and start the thread.
@@ -61,19 +61,13 @@ class StopPath:
             Another daemon listens there.
         """
         sys.setswitchinterval(SWITCH_INTERVAL_S)
-        self._listener = self._bound()
+        path, daemon = self._bench.stop_socket_path, self._bench.daemon
+        self._listener = UnixSocket(socket.SOCK_STREAM, path, "daemon.socket", daemon.socket_mode, daemon.socket_group)
+        self._listener.socket.listen(BACKLOG)
         self._end_reader, self._end_writer = descriptors.pipe()
         self._take_reserve()
         self._thread = threads.Thread(target=self._serve, name="stop", daemon=True)
         self._thread.start()
-
-    def _bound(self) -> UnixSocket:
-        daemon = self._bench.daemon
-        gid = group_id(daemon.socket_group, "daemon.socket_group")
-        path, mode = self._bench.stop_socket_path, int(daemon.socket_mode, 8)
-        listener = UnixSocket(socket.SOCK_STREAM, path, "daemon.socket", mode, gid)
-        listener.socket.listen(BACKLOG)
-        return listener
 
     @property
     def is_present(self) -> bool:
@@ -120,11 +114,10 @@ class StopPath:
                         return
                     if key.fileobj is listener:
                         self._accept(selector, listener)
-                    elif isinstance(key.fileobj, socket.socket):
-                        self._answer(key.fileobj)
+                    elif isinstance(key.fileobj, socket.socket) and not self._answer(key.fileobj):
                         self._drop(selector, [key.fileobj])
                 expired_s = clock.monotonic() - LINE_WITHIN_S
-                self._drop(selector, [client for client, since_s in self._clients.items() if since_s < expired_s])
+                self._drop(selector, [client for client, (since_s, _) in self._clients.items() if since_s < expired_s])
 
     def _accept(self, selector: selectors.BaseSelector, listener: socket.socket) -> None:
         try:
@@ -141,15 +134,29 @@ class StopPath:
         client.setblocking(False)
         if len(self._clients) >= MOST_CLIENTS:
             self._drop(selector, list(self._clients)[:1])
-        self._clients[client] = clock.monotonic()
+        self._clients[client] = clock.monotonic(), b""
         selector.register(client, selectors.EVENT_READ)
 
-    def _answer(self, client: socket.socket) -> None:
-        """Execute the line of a client; a line comes in one piece, being shorter than any buffer."""
-        with contextlib.suppress(OSError):
-            line = client.recv(LONGEST_LINE)
-            if line:
+    def _answer(self, client: socket.socket) -> bool:
+        """Execute every line that is complete, in whatever pieces it came; whether the client may send more.
+
+        The last line needs no line end: a command ends with its brace.
+        """
+        since_s, begun = self._clients.get(client, (0.0, b""))  # a client that was just dropped gives an error
+        try:
+            piece = client.recv(LONGEST_LINE)
+            *lines, rest = (begun + piece).split(b"\n")
+            if rest.rstrip().endswith(b"}") or not piece or len(rest) > LONGEST_LINE:
+                lines.append(rest)
+                rest = b""
+            self._clients[client] = since_s, rest
+            for line in filter(bytes.strip, lines):
                 client.send(json.dumps(self._reply(line)).encode() + b"\n")
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        return bool(piece)
 
     def _reply(self, line: bytes) -> dict[str, object]:
         try:

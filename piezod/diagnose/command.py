@@ -9,13 +9,14 @@ from piezod.diagnose.diagnosis import diagnose
 from piezod.diagnose.findings import HeldOut, Verdict, above_noise
 from piezod.diagnose.judgement import Diagnosis, with_words
 from piezod.diagnose.verdict.simulated import free_run, tared_rms
-from piezod.errors import ConfigurationError, UsageError
+from piezod.errors import UsageError
 from piezod.estimation.recordings.intake import OnStep
 from piezod.estimation.recordings.layout import layout_of
 from piezod.estimation.recordings.sources import Source, past_sources, read_source
 from piezod.model import Model, file_sha256, load_model, save_model
 from piezod.recording import TextOptions
 from piezod.recording.names import unit_of
+from piezod.runtime.files import written
 
 WORSE = 1.02  # error ratio above which a model is worse on a held-out recording; noise of a minute causes less
 LOWERED: dict[Verdict, Verdict] = {"explained": "partly_explained", "matches": "unexplained"}
@@ -79,7 +80,8 @@ def diagnose_files(
     if held_out:
         on_step("simulating what was held out", None)
         diagnosis = _checked(diagnosis, model, held_out, before)
-    _write(diagnosis, output)
+    written(output / "findings.json", json.dumps(diagnosis.findings.as_dict(), indent=2) + "\n", parents=True)
+    save_model(diagnosis.model, output / "model.yaml")
     return diagnosis
 
 
@@ -90,16 +92,6 @@ def _checked(diagnosis: Diagnosis, given: Model, held_out: Sequence[Source], bef
         errors_without_law = _compared(held_out, before, diagnosis.without_law.model)
         diagnosis, errors = with_checked_law(diagnosis, errors, errors_without_law)
     return with_held_out(diagnosis, given, errors)
-
-
-def _write(diagnosis: Diagnosis, output: Path) -> None:
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        content = json.dumps(diagnosis.findings.as_dict(), indent=2) + "\n"
-        (output / "findings.json").write_text(content, encoding="utf-8")
-    except OSError as error:
-        raise ConfigurationError(f"{output}: cannot be written: {error.strerror}") from error
-    save_model(diagnosis.model, output / "model.yaml")
 
 
 def with_held_out(diagnosis: Diagnosis, given: Model, held_out: Sequence[HeldOut]) -> Diagnosis:

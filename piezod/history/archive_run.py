@@ -6,7 +6,6 @@ stopped run continues. A changed recording is diagnosed again, with all later re
 
 import json
 import shutil
-import tempfile
 import zlib
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -15,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from piezod.diagnose.hypothesis.parallel import core_count
-from piezod.errors import ConfigurationError
 from piezod.history.archive import MARK, ArchivedRecording, Bench
 from piezod.history.worker import MODEL, SCHEMA, TASK
 from piezod.model import file_sha256
+from piezod.runtime.files import written, written_folder
 from piezod.tasks.cluster import run_on_cluster
 from piezod.tasks.local import run_locally
 from piezod.tasks.task import RUN, Outcome, Task, failed_outcome
@@ -124,7 +123,7 @@ class BenchRun:
         assert recording is not None
         target = self.folder / recording.path.name
         if outcome.files:
-            _replace_folder(target, outcome.files)
+            written_folder(target, outcome.files)
         else:
             shutil.rmtree(target, ignore_errors=True)
         diagnosed = _read(recording, target) or Diagnosed(recording, target, None, outcome.failed, 0.0)
@@ -169,11 +168,7 @@ def diagnose_archive(
     UnreachableError
         The scheduler does not answer.
     """
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        (output / MARK).write_text(json.dumps({"schema": SCHEMA}) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigurationError(f"{output}: cannot be written: {error.strerror}") from error
+    written(output / MARK, json.dumps({"schema": SCHEMA}) + "\n", parents=True)
     runs = {bench.name: BenchRun(bench, output / bench.name) for bench in benches}
     wanted, done = sum(run.remaining for run in runs.values()), 0
 
@@ -206,18 +201,3 @@ def _read(recording: ArchivedRecording, folder: Path) -> Diagnosed | None:
         return Diagnosed(recording, folder, findings, run["failed"], float(run["cpu_s"]))
     except (OSError, ValueError, KeyError):
         return None
-
-
-def _replace_folder(target: Path, files: dict[str, bytes]) -> None:
-    """Write files into a new folder that replaces the old one, complete or not at all."""
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as temporary:
-            part = Path(temporary) / target.name
-            part.mkdir()
-            for name, content in files.items():
-                (part / name).write_bytes(content)
-            shutil.rmtree(target, ignore_errors=True)
-            part.rename(target)
-    except OSError as error:
-        raise ConfigurationError(f"{target}: cannot be written: {error.strerror}") from error

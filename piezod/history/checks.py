@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from piezod.config.regular_file import open_regular
 from piezod.errors import ConfigurationError
 
 LARGEST_BYTES = 1 << 24  # of findings
@@ -74,9 +75,8 @@ def _read(place: Path) -> Check | None:
     """Check in a folder; None if the file is no list of findings."""
     path = place / "findings.json"
     try:
-        if path.stat().st_size > LARGEST_BYTES:
-            return None
-        findings = json.loads(path.read_text(encoding="utf-8"))
+        with open_regular(path, LARGEST_BYTES) as file:
+            findings = json.load(file)
         stamp = place.name.rpartition("-")[2]
         try:
             date = datetime.strptime(stamp, STAMP).replace(tzinfo=UTC)
@@ -85,5 +85,5 @@ def _read(place: Path) -> Check | None:
         return Check(
             place, date.isoformat(timespec="seconds"), str(findings["verdict"]), str(findings["words"]), findings
         )
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ConfigurationError, OSError, ValueError, KeyError, TypeError, RecursionError):
         return None

@@ -1,5 +1,6 @@
 """Selection of the orders: by held-out errors, as in the thesis, or by a reduction of the smooth base."""
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,11 +13,10 @@ from piezod.estimation.base.smooth_base import Base, fit_smooth_base, refit
 from piezod.estimation.fit.columns import Samples
 from piezod.estimation.fit.normal_equations import GROUPS, group_of
 from piezod.estimation.recordings.intake import OnStep
-from piezod.identify.figures import Run, fit_figures
 from piezod.identify.fit import fit_of_base
 from piezod.identify.options import Options
 from piezod.identify.order import PLAYS, ZONES, Candidate, best_of, candidate_of, choose, prune, residual
-from piezod.identify.scores import rms
+from piezod.identify.scores import largest, max_hysteresis_percent, nrmse_percent, rms
 from piezod.identify.stretches import Stretch, Structures, split_stretch, unsplit_stretch
 from piezod.model.parameters import FitFigures
 from piezod.operators import PrandtlIshlinskii
@@ -31,6 +31,15 @@ MOST_GROWTH = 1.02
 
 WORSE_START = 1.5
 """Largest error of the first samples, in multiples of the error of the other samples, before they are excluded."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Input, measured output, and measured minus simulated output of a recording, each shape (N,)."""
+
+    u: Array
+    y: Array
+    error: Array
 
 
 @dataclass(frozen=True)
@@ -69,7 +78,7 @@ def select_by_orders(
         chosen = prune(chosen, best_of(candidates), fitted, held_out, variant=options.variant, eps=options.eps)
     assert chosen.fit is not None
     operator = chosen.fit.hysteresis.operator()
-    figures = fit_figures(*([_run(operator, samples) for samples in part] for part in (fitted, held_out)))
+    figures = _figures(*([_run(operator, samples) for samples in part] for part in (fitted, held_out)))
     return Selection(stretches, candidates, before_pruning, chosen, figures)
 
 
@@ -90,7 +99,7 @@ def reduce_smooth_base(
     loss = sum(float(np.sum(_run(fit_of_base(base).hysteresis.operator(), samples).error ** 2)) for samples in fitted)
     fewest = reduced(base, fitted, loss)
     fit = fit_of_base(fewest)
-    figures = fit_figures([_run(fit.hysteresis.operator(), samples) for samples in fitted], _held_out(fewest, fitted))
+    figures = _figures([_run(fit.hysteresis.operator(), samples) for samples in fitted], _held_out(fewest, fitted))
     rms_held_out = figures.rms_held_out or 0.0
     chosen = Candidate(
         fit.structure.plays - 1,
@@ -167,3 +176,35 @@ def _counted(samples: Samples, error: Array) -> Run:
 
 def _run(operator: PrandtlIshlinskii, samples: Samples) -> Run:
     return _counted(samples, residual(operator, samples))
+
+
+def _figures(fitted: Sequence[Run], held_out: Sequence[Run]) -> FitFigures:
+    """Figures of the fitted and the held-out runs, one run for each recording."""
+    figures: dict[str, float | None] = {}
+    loops: dict[tuple[int, ...], float | None] = {}  # by the identity of the measured arrays, which both may share
+    for name, runs in (("fit", fitted), ("held_out", held_out)):
+        measured, error = _joined([run.y for run in runs]), _joined([run.error for run in runs])
+        inputs, outputs = [run.u for run in runs], [run.y for run in runs]
+        figures[f"rms_{name}"] = rms(error)
+        figures[f"max_{name}"] = largest(error)
+        figures[f"nrmse_percent_{name}"] = nrmse_percent(measured, measured - error)
+        key = tuple(map(id, (*inputs, *outputs)))
+        if key not in loops:
+            loops[key] = _widest_loop(inputs, outputs)
+        figures[f"max_hysteresis_percent_{name}"] = loops[key]
+        modelled = [run.y - run.error for run in runs]
+        figures[f"remaining_hysteresis_percent_{name}"] = _widest_loop(modelled, outputs)
+    return FitFigures(**{key: value if value is None else float(f"{value:.6g}") for key, value in figures.items()})
+
+
+def _joined(parts: Sequence[Array]) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def _widest_loop(drives: Sequence[Array], responses: Sequence[Array]) -> float | None:
+    """Largest hysteresis of the recordings [%]; None if no recording closes a loop."""
+    openings = []
+    for drive, response in zip(drives, responses, strict=True):
+        with contextlib.suppress(ValueError):
+            openings.append(max_hysteresis_percent(drive, response))
+    return max(openings, default=None)

@@ -4,7 +4,7 @@ A file that is read and written again keeps its text.
 """
 
 import hashlib
-import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,8 +12,10 @@ import numpy as np
 import yaml
 
 from piezod.config import check, read_document, shortened
+from piezod.config.regular_file import open_regular
 from piezod.errors import ConfigurationError, ModelError
 from piezod.model.parameters import Model
+from piezod.runtime.files import written
 
 SCHEMA = "piezod.model/1"
 
@@ -64,21 +66,15 @@ def save_model(model: Model, path: Path) -> None:
         The file cannot be written, or the path names a file that is no model.
     """
     _refuse_other_file(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.write_text(dump_model(model), encoding="utf-8")
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from error
+    written(path, dump_model(model))
 
 
 def _refuse_other_file(path: Path) -> None:
     """Refuse to replace a file that is no model, such as a recording that `-o` names by mistake."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path, sys.maxsize) as file:
             head = file.read(4096)
-    except OSError:
+    except (ConfigurationError, OSError):
         return  # nothing is there, or the write reports the error
     if head and b"piezod.model/" not in head:
         raise ConfigurationError(f"{path}: exists and is no model file; name another file")
@@ -91,7 +87,7 @@ def file_sha256(path: Path) -> str:
     -------
     64 hexadecimal digits.
     """
-    with path.open("rb") as file:
+    with open_regular(path, sys.maxsize) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

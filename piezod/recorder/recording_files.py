@@ -10,9 +10,12 @@ valid file contains ticks.
 import contextlib
 import os
 import sqlite3
+import sys
 from pathlib import Path
 
+from piezod.config.regular_file import open_regular
 from piezod.config.run_time_files import FILE_MODE
+from piezod.errors import ConfigurationError
 from piezod.recording.formats.sqlite_blocks import Block
 from piezod.recording.formats.sqlite_tables import TABLES, About, append_block, create_tables
 from piezod.runtime import databases, descriptors
@@ -22,6 +25,9 @@ PARTS = ("", "-wal", "-shm", "-journal")  # suffixes of a file and of its compan
 CHECKPOINT_PAGES = 256
 MARGIN_BYTES = 4_000_000  # largest size that the write-ahead log and the last commit add while a file is closed [byte]
 LOCK_WAIT_S = 1.0
+MARK = 0x70696564  # `application_id` in the header of every file: "pied"
+PAGE = 4096  # of SQLite, which the first commit exceeds [byte]
+MARK_AT = 68  # place of it in the header of a file of SQLite [byte]
 
 
 class RecordingFile:
@@ -55,6 +61,7 @@ class RecordingFile:
             raise
 
     def _prepare(self, folder: Path) -> None:
+        self._connection.execute(f"PRAGMA application_id = {MARK}")  # before the log, so that it stands in the file
         self._connection.execute("PRAGMA journal_mode = WAL")
         self._connection.execute("PRAGMA synchronous = FULL")
         self._connection.execute(f"PRAGMA wal_autocheckpoint = {CHECKPOINT_PAGES}")
@@ -124,7 +131,7 @@ def tidy_files(paths: list[Path]) -> None:
     """Join files that a crash left in several parts, and remove files without ticks; foreign files stay as they are."""
     for path in paths:
         with contextlib.suppress(OSError, sqlite3.Error):
-            if path.stat().st_size and not path.with_name(path.name + "-wal").exists():
+            if not is_own(path) or (path.stat().st_size > PAGE and not path.with_name(path.name + "-wal").exists()):
                 continue
             with contextlib.closing(databases.connect(path, isolation_level=None, timeout=0.0)) as connection:
                 tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_schema")}
@@ -148,7 +155,7 @@ def make_room(paths: list[Path], keep_bytes: float) -> int:
     int
         Size of the rest [byte].
     """
-    paths = [path for path in paths if _is_recording(path)]
+    paths = [path for path in paths if is_own(path)]
     sizes = [size_bytes(path) for path in paths]
     total = sum(sizes)
     for path, size in zip(paths, sizes, strict=True):
@@ -206,14 +213,13 @@ def _new_file(folder: Path, bench: str) -> Path:
         return path
 
 
-def _is_recording(path: Path) -> bool:
-    """Whether the recorder made a file: SQLite with its tables or with none yet, or emptied by a crash."""
-    with contextlib.suppress(OSError):
-        with path.open("rb") as file:
-            head = file.read(4096)
-        has_tables = all(statement.encode() in head for statement in TABLES.values())
-        is_empty = not head.strip(b"\0") or (head.startswith(b"SQLite format 3\0") and b"CREATE" not in head)
-        return has_tables or is_empty
+def is_own(path: Path) -> bool:
+    """Whether the recorder made a file: it carries the mark or the tables, or a crash emptied it."""
+    with contextlib.suppress(OSError, ConfigurationError):
+        with open_regular(path, sys.maxsize) as file:
+            head = file.read(PAGE)
+        is_marked = head.startswith(b"SQLite format 3\0") and head[MARK_AT : MARK_AT + 4] == MARK.to_bytes(4)
+        return is_marked or not head.strip(b"\0") or all(one.encode() in head for one in TABLES.values())
     return False
 
 

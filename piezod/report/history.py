@@ -20,9 +20,10 @@ from piezod.history.trends import Estimate, Trend
 from piezod.history.words import interval, verdict_of, wording_of
 from piezod.report.figures.layout import MOST_TICKS, apply_layout
 from piezod.report.next_step import NextStep
-from piezod.report.page import Part, head_html, next_step_html, table_html, write_page, write_text
+from piezod.report.page import Part, head_html, next_step_html, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 from piezod.report.text_table import text_table
+from piezod.runtime.files import written
 
 MARK = "*"
 NONE = "-"
@@ -77,7 +78,7 @@ def write_history_csv(path: Path, timeline: Timeline) -> None:
         ]
         head = [entry.date.isoformat(), entry.paths[0], min(entry.hashes), entry.parent or ""]
         table.writerow([*head, *errors, *cells])
-    write_text(path, content.getvalue())
+    written(path, content.getvalue(), parents=True)
 
 
 def write_history_page(

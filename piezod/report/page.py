@@ -1,8 +1,6 @@
 """HTML that all pages share. A page is one self-contained file for a screen, a telephone or A4 paper."""
 
-import contextlib
 import html
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from piezod.errors import ConfigurationError
 from piezod.report.figures.data_files import write_figure_data
 from piezod.report.next_step import NextStep
 from piezod.report.style import DATA_NOTE, PAGE_CSS, PAGE_SCRIPT, PAGE_TEMPLATE
+from piezod.runtime.files import written
 
 Group = tuple[str, int]  # heading of neighbouring columns, and their number
 Part = str | Sequence[Model]  # HTML, or figures side by side
@@ -161,28 +160,4 @@ def write_html(path: Path, title: str, body: str, figures: Mapping[str, Model]) 
         body = body.replace(placeholder(name), div)
     library = Resources(mode="inline", components=["bokeh"]).render_js()
     parts = {"style": PAGE_CSS, "library": library, "script": script, "own": PAGE_SCRIPT}
-    write_text(path, PAGE_TEMPLATE.format(title=html.escape(title), body=body, **parts))
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically, and make its folder.
-
-    Parameters
-    ----------
-    text
-        New content.
-
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from error
+    written(path, PAGE_TEMPLATE.format(title=html.escape(title), body=body, **parts), parents=True)

@@ -5,10 +5,11 @@ import ctypes
 import multiprocessing
 import os
 import signal
-import sys
 from multiprocessing.context import SpawnContext
 from multiprocessing.reduction import DupFd
 from typing import Any
+
+from piezod.runtime.interpreter import protect_spawned, python
 
 _PR_SET_PDEATHSIG = 1  # prctl(2): the signal that the kernel sends when the parent dies
 
@@ -22,6 +23,7 @@ send_signal = signal.pidfd_send_signal
 
 def spawn_context() -> SpawnContext:
     """Context of `multiprocessing` whose processes start from nothing."""
+    protect_spawned()
     return multiprocessing.get_context("spawn")
 
 
@@ -38,7 +40,7 @@ def end_with_parent(number: int) -> bool:
 
 
 async def start_module(module: str, argument: str, longest_line: int) -> asyncio.subprocess.Process:
-    """Start `python -m MODULE ARGUMENT` with pipes for standard input and output.
+    """Start a module with one argument, and with pipes for standard input and output.
 
     Parameters
     ----------
@@ -52,5 +54,5 @@ async def start_module(module: str, argument: str, longest_line: int) -> asyncio
     """
     pipe = asyncio.subprocess.PIPE
     return await asyncio.create_subprocess_exec(
-        sys.executable, "-m", module, argument, stdin=pipe, stdout=pipe, limit=longest_line
+        *python("-m", module, argument), stdin=pipe, stdout=pipe, limit=longest_line
     )

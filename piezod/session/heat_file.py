@@ -4,11 +4,15 @@ A run reads and removes the file at its start and writes it at its end. Where th
 without a word, and the stack may be as hot as its limit allows.
 """
 
+import contextlib
 import json
 import math
 
 from piezod.config import BenchConfig
+from piezod.config.regular_file import open_regular
+from piezod.errors import ConfigurationError
 from piezod.runtime import clock
+from piezod.runtime.files import written
 
 LARGEST = 1024  # largest file that is read [byte]
 
@@ -33,11 +37,11 @@ class HeatFile:
         Without a file: the limit of the bench.
         """
         try:
-            with self._path.open("rb") as file:
-                content = json.loads(file.read(LARGEST))
+            with open_regular(self._path, LARGEST) as file:
+                content = json.load(file)
             power_W, time_s = float(content["power_W"]), float(content["time_s"])
             self._path.unlink()
-        except (OSError, ValueError, TypeError, KeyError):
+        except (ConfigurationError, OSError, ValueError, TypeError, KeyError, RecursionError):
             return self._limit_W
         if not (math.isfinite(power_W) and math.isfinite(time_s) and power_W >= 0.0):
             return self._limit_W
@@ -54,6 +58,7 @@ class HeatFile:
         """
         content = json.dumps({"power_W": power_W, "time_s": clock.wall_s()})
         try:
-            self._path.write_text(content, encoding="ascii")
-        except OSError:
-            self._path.unlink(missing_ok=True)
+            written(self._path, content)
+        except ConfigurationError:
+            with contextlib.suppress(OSError):
+                self._path.unlink()

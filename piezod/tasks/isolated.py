@@ -2,12 +2,12 @@
 
 import os
 import subprocess
-import sys
 import tempfile
 import threading
 from contextlib import suppress
 from pathlib import Path
 
+from piezod.runtime.interpreter import python
 from piezod.tasks.task import Outcome, Task, failed_outcome, read_outcome
 
 ATTEMPTS = 3
@@ -55,7 +55,7 @@ class IsolatedProcesses:
     def _process(self, module: str, folder: Path, output: Path) -> str:
         """Run one process to its end; return the problem in words, or an empty text."""
         errors = folder.parent / "stderr"
-        command = [sys.executable, "-m", module, str(folder), str(output)]
+        command = python("-m", module, str(folder), str(output))
         with errors.open("wb") as stderr, self._lock:
             if self._ended:
                 return "was ended"

@@ -15,6 +15,7 @@ from piezod.commissioning.proof.comparison import change_text
 from piezod.commissioning.proof.coverage import coverage
 from piezod.config import BenchConfig
 from piezod.errors import ConfigurationError, UsageError
+from piezod.runtime.files import written
 from piezod.transport import Link
 
 SCHEMA = "piezod.proof/1"
@@ -158,12 +159,7 @@ def write_record(record: dict[str, Any], path: Path) -> None:
     ConfigurationError
         The file cannot be written.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        partial.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; name another file with -o") from error
+    written(path, json.dumps(record, indent=2) + "\n")
 
 
 def text_lines(record: dict[str, Any]) -> Iterator[str]:

@@ -10,12 +10,12 @@ number starts the sequence anew; a lower one is refused. Without a session numbe
 
 import hmac
 import os
-import stat
 import struct
 from math import isfinite
 from pathlib import Path
 
 from piezod.config.reference_range import ReferenceRange
+from piezod.config.regular_file import open_regular
 from piezod.control.references.counts import ValueResult
 from piezod.errors import ConfigurationError
 from piezod.runtime import clock
@@ -29,6 +29,7 @@ FIRST_BELOW = 2**63
 JUMP = 1_000_000
 """Largest rise of the sequence number between two datagrams, besides two for each nanosecond between them."""
 LEAST_KEY_BYTES = 16
+LARGEST_KEY_FILE = 4096  # [byte]
 
 
 class DatagramGate:
@@ -130,12 +131,10 @@ def read_key(text: str) -> bytes:
         raise ConfigurationError(f"{name} is {text}, but systemd gave no credentials; set LoadCredential=")
     path = Path(text.replace("$CREDENTIALS_DIRECTORY", folder or "", 1))
     try:
-        with path.open("rb") as file:
-            status, content = os.fstat(file.fileno()), file.read(4096)
-    except OSError as error:
-        raise ConfigurationError(f"{name}: {path} cannot be read: {error.strerror}") from error
-    if not stat.S_ISREG(status.st_mode):
-        raise ConfigurationError(f"{name}: {path} is not a regular file")
+        with open_regular(path, LARGEST_KEY_FILE) as file:
+            status, content = os.fstat(file.fileno()), file.read()
+    except (OSError, ConfigurationError) as error:
+        raise ConfigurationError(f"{name}: {error}") from error
     if status.st_mode & 0o037:
         raise ConfigurationError(
             f"{name}: {path} has mode {status.st_mode & 0o777:04o}, must be 0640 or less; chmod it"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from piezod.config.reference import StreamReference
 from piezod.config.reference_range import ReferenceRange
-from piezod.config.run_time_files import UnixSocket, group_id
+from piezod.config.run_time_files import UnixSocket
 from piezod.control.references.datagram import LARGEST, DatagramGate, read_key
 from piezod.control.references.live import LiveReference
 from piezod.errors import BusyError
@@ -51,9 +51,8 @@ class DatagramStream(LiveReference):
     def _bind(self, config: StreamReference) -> socket.socket:
         address = config.udp_address
         if address is None:
-            gid = group_id(config.socket_group, "reference.socket_group")
-            path, mode = Path(config.listen), int(config.socket_mode, 8)
-            self._unix = UnixSocket(socket.SOCK_DGRAM, path, "reference.listen", mode, gid)
+            access = config.socket_mode, config.socket_group
+            self._unix = UnixSocket(socket.SOCK_DGRAM, Path(config.listen), "reference.listen", *access)
             return self._unix.socket
         receiver = sockets.socket(socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM)
         try:

@@ -13,7 +13,7 @@ import numpy as np
 
 from piezod.diagnose.hypothesis.fit import Fitted
 from piezod.diagnose.hypothesis.terms import Setting
-from piezod.errors import ConfigurationError
+from piezod.runtime.files import written
 
 SCHEMA = "piezod.replay/1"
 DIGITS = 5  # significant digits in the file
@@ -106,10 +106,7 @@ def write_replay(path: Path, attempts: Sequence[Attempt]) -> None:
         ],
         "hypotheses": hypotheses,
     }
-    try:
-        path.write_text(json.dumps(content) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from error
+    written(path, json.dumps(content) + "\n")
 
 
 def _entry(fitted: Fitted) -> dict[str, Any]:

@@ -3,15 +3,16 @@
 A state never changes, and a move makes a new one (`moves.py`). Every constant that decides stands in `rules.py`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from piezod.diagnose.candidates.screening import Screening
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import fit
-from piezod.diagnose.hypothesis.sampling import best_intersample, with_usual_start
-from piezod.diagnose.hypothesis.stack_change import NAMES, with_stack_changed
+from piezod.diagnose.hypothesis.fit import Fitted, fit
+from piezod.diagnose.hypothesis.sampling import best_intersample, coarse, with_usual_start
+from piezod.diagnose.hypothesis.stack_change import GAIN, LOOPS, NAMES, with_stack_changed
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.prepare import with_loose_base, with_tight_base
 from piezod.diagnose.rules import RULES
@@ -19,10 +20,11 @@ from piezod.diagnose.selection.acceptance import highest_accepted_loss, worth
 from piezod.diagnose.selection.candidates import Candidates
 from piezod.diagnose.selection.finish import fit_all_samples, remove_redundant, replace_by_rivals
 from piezod.diagnose.selection.given_effects import classify_given, with_fitted_values
+from piezod.diagnose.selection.linear_gain import LinearGains, is_near
 from piezod.diagnose.selection.moves import MOVES
 from piezod.diagnose.selection.search_state import Search, identified_base
-from piezod.diagnose.selection.tone_search import without_known_tones
-from piezod.diagnose.selection.unchanged import is_unchanged
+from piezod.diagnose.selection.tone_search import strongest_tone, without_known_tones
+from piezod.diagnose.selection.trials import suggested_steps
 from piezod.model.information import Information
 
 OnProgress = Callable[[str, float | None], None]
@@ -60,7 +62,7 @@ def search(
     progress("fitting the base", None)
     state = replace(_begun(chain.within(until_s), start, given), known=known, predicted=predicted)
     state = without_known_tones(replace(state, known_tones_Hz=known_tones_Hz))
-    if not state.has_known or not is_unchanged(state):
+    if not state.has_known or not _is_unchanged(state):
         state = _with_moves(_with_refined_base(_with_changes(state)), progress)
     state = replace(state, chain=state.chain.within(np.inf), ended_early=state.chain.is_late)
     if not state.ended_early:
@@ -149,3 +151,43 @@ def _with_best_change(state: Search) -> Search | None:
 def _new_effect_leaves_less(state: Search, loss: float) -> bool:
     best = Candidates(state).best
     return best is not None and best[1].loss < loss
+
+
+def _is_unchanged(state: Search) -> bool:
+    """Whether neither a change of the given model nor a further effect or tone could be accepted.
+
+    Every candidate is estimated from one linear step at the given model, none is fitted. If no estimate comes near the
+    least gain that the search accepts, the search would find nothing, and is not begun. A model that leaves more than
+    noise is searched in any case: then pairs, corners and laws without a name count too.
+    """
+    fitted = state.hypothesis
+    if fitted.loss > RULES.at_noise:
+        return False
+    few = coarse(state.chain)
+    linear = LinearGains(few, fitted, state.least_gain)
+    unchanged = (
+        not any(linear.may_have_changed(name) for name in fitted.effects)
+        and not linear.may_gain(
+            *_with(fitted, (Term(GAIN, "since"), {"gain": 1.0}), (Term(LOOPS, "since"), {"loops": 1.0}))
+        )
+        and not _further_effect_gains(few, fitted, linear, state.least_gain)
+        and strongest_tone(state) is None
+    )
+    few.forget()
+    return unchanged
+
+
+def _with(fitted: Fitted, *more: tuple[Term, Mapping[str, float]]) -> tuple[tuple[Term, ...], Point]:
+    """Terms and point of a hypothesis with further terms at these values."""
+    terms, values = zip(*more, strict=True)
+    return (*fitted.terms, *terms), replace(fitted.point, values=(*fitted.point.values, *values))
+
+
+def _further_effect_gains(few: Chain, fitted: Fitted, linear: LinearGains, least: float) -> bool:
+    """Whether an effect that the hypothesis lacks, or a step of the load, comes near the least gain."""
+    screening = Screening(few, fitted.terms, fitted.point)
+    steadiest = float(np.sqrt(np.count_nonzero(fitted.samples)))  # of a gain that is equal in all blocks
+    if screening.singles and is_near(screening.loss, screening.singles[0].loss, steadiest, least):
+        return True
+    steps = suggested_steps(few, fitted)
+    return any(linear.may_gain(*_with(fitted, (step.term, step.values))) for step in steps)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.estimation.recordings.chosen_samples import where
-from piezod.estimation.recordings.clipped import clipped_note, clipped_stretches
 from piezod.estimation.recordings.converter import converter_step_N
 from piezod.estimation.recordings.frozen import frozen_stretches, still_stretches
 from piezod.estimation.recordings.intake import TEMPERATURES
@@ -40,6 +39,10 @@ UNEVEN = 0.01  # largest relative deviation of a time step; beyond it the record
 MOST_MISSED = 1.5  # largest number of clock ticks per sample if samples are missing; beyond it there is no such clock
 SIGNIFICANT_PAST = 3.0  # difference between possible pasts above which the history matters [noise rms]
 COPY = 0.9999  # correlation above which a temperature column is a copy of another channel
+FEWEST_CLIPPED = 3  # stretches at an extreme reading that make it a limit: a sensor hardly freezes there repeatedly
+# largest of nine in ten steps of the reading, times this, is a jump: after a freeze the reading jumps to where it
+# would be, a limit is entered and left by a usual step
+JUMP = 2.0
 
 
 def prepared(sources: Sequence[Source], model: Model) -> list[Series]:
@@ -238,13 +241,13 @@ def without_clipped(series: Series, model: Model) -> Series:
     within = series.counts & (series.reading_N > readings.min()) & (series.reading_N < readings.max())
     tared = within if within.any() else series.counts  # clipped readings do not determine the tare
     expected += float(np.median((series.reading_N - expected)[tared]))
-    clipped = clipped_stretches(series, expected, frozen_stretches(series, expected))
+    clipped = _clipped_stretches(series, expected, frozen_stretches(series, expected))
     counts = series.counts.copy()
     for first, end in (stretch for stretches in clipped.values() for stretch in stretches):
         counts[first:end] = False
     if not counts.any():
         return series
-    notes = [clipped_note(series, limit_N, stretches, model.output.unit) for limit_N, stretches in clipped.items()]
+    notes = [_clipped_note(series, limit_N, stretches, model.output.unit) for limit_N, stretches in clipped.items()]
     return replace(series, counts=counts, notes=(*series.notes, *notes))
 
 
@@ -270,3 +273,50 @@ def without_frozen(series: Series, model: Model) -> Series:
             f"sample to the last, {series.duration_s:.3g} s; look at the sensor and its converter, then record again"
         )
     return replace(series, counts=counts, frozen=tuple(stretches))
+
+
+def _clipped_stretches(
+    series: Series, model_N: Array, stretches: Sequence[tuple[int, int]]
+) -> dict[float, list[tuple[int, int]]]:
+    """Clipped stretches (first, end) by their limit [N].
+
+    A limit is the highest or the lowest reading. At least `FEWEST_CLIPPED` stretches are there in which the model lies
+    mostly beyond it, or the reading enters and leaves one without a jump. Then all runs of readings at the limit in
+    which the model lies beyond it are clipped.
+
+    `model_N`: expected readings, shape (N,) [N]; `stretches`: stretches (first, end) of equal readings.
+    """
+    readings = series.reading_N[series.counts]
+    clipped: dict[float, list[tuple[int, int]]] = {}
+    for limit_N, side in ((float(readings.max()), 1.0), (float(readings.min()), -1.0)):
+        at_limit = [(first, end) for first, end in stretches if series.reading_N[first] == limit_N]
+        continuous = [stretch for stretch in at_limit if not _jumps(series, *stretch)]
+        if continuous or len(_beyond(at_limit, side * model_N, side * limit_N)) >= FEWEST_CLIPPED:
+            runs = stretches_of(series.reading_N == limit_N)
+            clipped[limit_N] = sorted({*continuous, *_beyond(runs, side * model_N, side * limit_N)})
+    return clipped
+
+
+def _jumps(series: Series, first: int, end: int) -> bool:
+    """Whether the reading jumps where the stretch begins or ends, or whether one of both was not recorded."""
+    y = series.reading_N
+    if first == 0 or end == y.size or not (series.counts[first - 1] and series.counts[end]):
+        return True
+    steps = np.abs(np.diff(y[series.counts]))
+    usual_N = JUMP * float(np.quantile(steps[steps > 0.0], 0.9))
+    return bool(max(abs(y[first] - y[first - 1]), abs(y[end] - y[end - 1])) > usual_N)
+
+
+def _beyond(stretches: Sequence[tuple[int, int]], model_N: Array, limit_N: float) -> list[tuple[int, int]]:
+    """Stretches in which the model is beyond the limit for most of the time."""
+    return [(first, end) for first, end in stretches if np.mean(model_N[first:end] > limit_N) > 0.5]
+
+
+def _clipped_note(series: Series, limit_N: float, stretches: Sequence[tuple[int, int]], unit: str) -> str:
+    """Note about clipped stretches of a recording at a limit; `unit`: unit of the readings."""
+    samples = sum(end - first for first, end in stretches)
+    begin_s, end_s = (float(series.time_s[at]) + series.start_s for at in (stretches[0][0], stretches[-1][1] - 1))
+    return (
+        f"{series.name}: clipped at {limit_N:.6g} {unit}, {samples} samples in {len(stretches)} stretches from "
+        f"{begin_s:.3g} to {end_s:.3g} s; they do not count: record with a larger range"
+    )

@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 
 from piezod.effects import EFFECTS, Location
-from piezod.effects.tick import SHARED, Tick, TickSetting
+from piezod.effects.tick import SHARED, Memory, Tick, TickSetting
 from piezod.model.chain.acting import acting_effects
 from piezod.model.chain.compiled_steps import CALLED, address_of
-from piezod.model.chain.delay_line import delay_line
 from piezod.model.chain.tick_steps import (
     AMPLIFIER,
     END,
@@ -46,6 +45,8 @@ from piezod.recording.hold import HELD_ONE_SAMPLE, STRAIGHT, Hold
 if TYPE_CHECKING:
     from piezod.arrays import Array
 
+# memory of a delay: its length [ticks], numbers of the ring, ticks so far; then the ring
+DELAY_TICKS, DELAY_SIZE, DELAY_COUNT, DELAY_RING = range(4)
 _STAGES = {Location.AMPLIFIER: AMPLIFIER, Location.HYSTERESIS: HYSTERESIS, Location.STACK: STACK}
 
 
@@ -126,7 +127,7 @@ class TickChain:
             hold = STRAIGHT if effect.smooths else hold
         if reads:
             ticks = ticks_late(self.delay_s, self.acting, self.dt_s)
-            self._append(delay_line(ticks), {}, setting, READING)
+            self._append(_delay_line(ticks), {}, setting, READING)
             # An effect that is followed acts in every drive, with another size and phase than in its recording.
             followed = {entry.name: entry.parameters for entry in reversed(model.effects)}
             for name, values in followed.items():
@@ -201,3 +202,32 @@ def ticks_late(delay_s: float, acting: Mapping[str, Mapping[str, float]], dt_s: 
         tick = EFFECTS[name].tick
         risen *= tick.risen(values, dt_s, into) if tick is not None and tick.risen is not None else 1.0
     return whole + 1.0 - risen
+
+
+def _advance_delay(own: Memory, _shared: Memory, force_N: float) -> float:
+    count, size = int(own[DELAY_COUNT]), int(own[DELAY_SIZE])
+    own[DELAY_RING + count % size] = force_N
+    own[DELAY_COUNT] += 1.0
+    whole = int(own[DELAY_TICKS])
+    part = own[DELAY_TICKS] - whole
+    return (1.0 - part) * own[DELAY_RING + (count - whole) % size] + part * own[DELAY_RING + (count - whole - 1) % size]
+
+
+def _settle_delay(own: Memory, _shared: Memory, force_N: float) -> float:
+    own[DELAY_COUNT] = 0.0
+    for k in range(DELAY_RING, DELAY_RING + int(own[DELAY_SIZE])):
+        own[k] = force_N
+    return force_N
+
+
+def _delay_line(ticks: float) -> Tick:
+    """Step of the delay between the force and its reading: a ring of the last forces.
+
+    Parameters
+    ----------
+    ticks
+        Delay [ticks], at least 0.
+    """
+    size = math.ceil(ticks) + 2
+    memory = np.concatenate(([ticks, size, 0.0], np.zeros(size)))
+    return Tick(lambda _values, _setting: memory, _advance_delay, settle=_settle_delay)

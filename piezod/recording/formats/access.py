@@ -1,7 +1,6 @@
 """Access to files and libraries, shared by all formats: optional imports, one-line errors, replacement as a whole."""
 
 import importlib
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +9,7 @@ from typing import Any, BinaryIO
 
 from piezod.config.regular_file import open_regular
 from piezod.errors import ConfigurationError, RecordingError
+from piezod.runtime.files import replaced
 
 MOST_ERROR_TEXT = 200  # characters of a library's error text that a message quotes
 
@@ -85,10 +85,5 @@ def replaced_file(path: Path) -> Iterator[Path]:
     path
         File to replace; its folder exists.
     """
-    temporary = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
-        with library_errors(path, "written"):
-            yield temporary
-            temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with library_errors(path, "written"), replaced(path) as temporary:
+        yield temporary

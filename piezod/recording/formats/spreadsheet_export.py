@@ -16,6 +16,7 @@ from typing import Any
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import import_library, library_errors
 from piezod.recording.formats.text_layout import TextOptions, find_layout
+from piezod.runtime.interpreter import python
 
 SEPARATOR = "\t"
 NO_TABLE = "holds no table of numbers"
@@ -41,7 +42,7 @@ def export_table(path: Path, exported: Path, options: TextOptions) -> str:
     arguments = json.dumps({"path": str(path), "exported": str(exported), "options": asdict(options)})
     command = "from piezod.recording.formats.spreadsheet_export import run_child; run_child()"
     done = subprocess.run(  # noqa: S603  # this interpreter and fixed text
-        [sys.executable, "-c", command], input=arguments, capture_output=True, text=True, check=False
+        python("-c", command), input=arguments, capture_output=True, text=True, check=False
     )
     try:
         answer = json.loads(done.stdout)

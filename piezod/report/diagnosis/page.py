@@ -27,7 +27,8 @@ from piezod.report.diagnosis.residual.spectra import spectrum, time_frequency
 from piezod.report.diagnosis.residual.views import views
 from piezod.report.diagnosis.wording import headline, law_sentence
 from piezod.report.next_step import NextStep
-from piezod.report.page import fold_html, next_step_html, placeholder, write_html, write_text
+from piezod.report.page import fold_html, next_step_html, placeholder, write_html
+from piezod.runtime.files import written
 
 FIGURES = "figures"  # folder of the CSV files, in the folder of the page
 MOST_SHOWN = 3  # recordings with figures of their own; the tables contain all recordings
@@ -51,7 +52,7 @@ def write_diagnosis_page(path: Path, diagnosis: Diagnosis, step: NextStep | None
     page = _Page(diagnosis, step)
     body = _body(page)
     for name, text in page.tables.items():
-        write_text(path.parent / FIGURES / name, text)
+        written(path.parent / FIGURES / name, text, parents=True)
     write_html(path, headline(page.diagnosis.findings), body, page.figures)
 
 

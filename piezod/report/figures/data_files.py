@@ -14,6 +14,8 @@ from bokeh.models.glyphs import Image
 from bokeh.models.plots import Plot
 from bokeh.models.renderers import GlyphRenderer
 
+from piezod.runtime.files import written
+
 MOST_NAME = 50  # characters of a file's name
 
 Cells = list[str]
@@ -46,9 +48,8 @@ def write_figure_data(page: Path, figures: Mapping[str, Model]) -> Path | None:
             old.unlink()
     if not texts:
         return None
-    folder.mkdir(parents=True, exist_ok=True)
     for number, (plot, text) in enumerate(texts, 1):
-        (folder / f"{number:02d}-{_slug(plot)}.csv").write_text(text, encoding="utf-8")
+        written(folder / f"{number:02d}-{_slug(plot)}.csv", text, parents=True)
     return folder
 
 

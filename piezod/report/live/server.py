@@ -25,6 +25,7 @@ from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 
 from piezod.config import BenchConfig
+from piezod.config.regular_file import open_regular
 from piezod.errors import BusyError, ConfigurationError, PiezodError
 from piezod.report.live.feed import Feed, SEGMENT_s
 from piezod.report.live.protection import LOCAL_NAMES, ProtectedPages
@@ -50,11 +51,10 @@ def read_token(path: Path) -> str:
         The file cannot be read, other users can access it, or the token has fewer than 16 characters.
     """
     try:
-        mode, token = path.stat().st_mode, path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(
-            f"{path}: no token can be read: {getattr(error, 'strerror', None) or error}"
-        ) from error
+        with open_regular(path, LARGEST_MESSAGE_BYTES) as file:
+            mode, token = os.fstat(file.fileno()).st_mode, file.read().decode().strip()
+    except (OSError, UnicodeDecodeError, ConfigurationError) as error:
+        raise ConfigurationError(f"no token can be read: {error}") from error
     if mode & 0o077:
         raise ConfigurationError(f"{path}: mode is {mode & 0o777:04o}, must be 0600 or less: chmod 600 {path}")
     if len(token) < SHORTEST_TOKEN:

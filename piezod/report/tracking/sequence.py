@@ -16,7 +16,7 @@ from piezod.identify.scores import max_hysteresis_percent
 from piezod.recording import Recording
 from piezod.report.figures.layout import decimated, finish_figure
 from piezod.report.next_step import NextStep
-from piezod.report.page import Part, head_html, next_step_html, table_html, write_page, write_text
+from piezod.report.page import Part, head_html, next_step_html, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 from piezod.report.text_table import text_table
 from piezod.report.tracking.tracking_errors import SessionOutcome, tracking_figures
@@ -223,17 +223,6 @@ def junit_xml(verdict: SequenceVerdict) -> str:
         ET.SubElement(suite, "system-err").text = verdict.outcome.fault
     ET.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
-
-
-def write_junit(path: Path, verdict: SequenceVerdict) -> None:
-    """Write the verdict as JUnit XML.
-
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be written.
-    """
-    write_text(path, junit_xml(verdict))
 
 
 def write_sequence_page(path: Path, verdict: SequenceVerdict, runs: Sequence[StepRun], step: NextStep) -> None:

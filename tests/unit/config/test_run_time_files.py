@@ -14,7 +14,7 @@ KINDS = (socket.SOCK_STREAM, socket.SOCK_DGRAM)
 
 
 def bound(kind, path):
-    return UnixSocket(kind, path, "reference.listen", 0o660, os.getegid())
+    return UnixSocket(kind, path, "reference.listen", "0660", None)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -77,7 +77,7 @@ def test_close_leaves_a_socket_that_another_process_has_put_there(tmp_path):
 def test_a_socket_has_its_mode_whatever_the_umask_is(tmp_path, umask):
     before = os.umask(umask)
     try:
-        made = UnixSocket(socket.SOCK_DGRAM, tmp_path / "s", "reference.listen", 0o662, os.getegid())
+        made = UnixSocket(socket.SOCK_DGRAM, tmp_path / "s", "reference.listen", "0662", None)
     finally:
         os.umask(before)
     assert (tmp_path / "s").stat().st_mode & 0o777 == 0o662

@@ -150,3 +150,36 @@ def test_without_a_free_descriptor_a_stop_is_obeyed_and_nothing_spins(tmp_path, 
 def test_without_a_daemon_a_stop_is_reported_as_failed(tmp_path):
     with pytest.raises(TemporaryError, match="was not executed"):
         urge(tmp_path / "nobody.sock.stop", "stop", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("pieces", "expected"),
+    [
+        ([b'{"comm', b'and": "stop"}\n'], ["stop"]),
+        ([b'{"command": "stop"}\n{"command": "disarm"}\n'], ["stop", "disarm"]),
+        ([b'{"command": "stop"}'], ["stop"]),
+        ([*(bytes([one]) for one in b'{"command": "stop"}\n')], ["stop"]),
+        ([b"junk\n", b'{"command": "stop"}\n'], ["stop"]),
+        ([b'junk\n{"command": "sto', b'p"}\n{"command": "disarm"}'], ["stop", "disarm"]),
+    ],
+)
+def test_every_line_is_obeyed_in_whatever_pieces_it_comes(bench, urged, pieces, expected):
+    with socket.socket(socket.AF_UNIX) as client:
+        client.settimeout(5.0)
+        client.connect(str(bench.stop_socket_path))
+        for piece in pieces:
+            client.sendall(piece)
+            time.sleep(0.02)
+        client.shutdown(socket.SHUT_WR)
+        answers = client.makefile("rb").readlines()
+    assert urged == expected
+    assert sum(b'"ok": true' in one for one in answers) == len(expected)
+
+
+def test_a_line_without_end_is_refused(bench, urged):
+    with socket.socket(socket.AF_UNIX) as client:
+        client.settimeout(5.0)
+        client.connect(str(bench.stop_socket_path))
+        client.sendall(b"x" * 300)
+        assert b'"ok": false' in client.makefile("rb").readline()
+    assert urged == []

@@ -138,3 +138,37 @@ def test_a_file_has_its_mode_whatever_the_umask_is(tmp_path):
         finally:
             os.umask(before)
         assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+@pytest.mark.parametrize(
+    "statements",
+    [
+        [],
+        ["CREATE TABLE mine (x)"],
+        ["PRAGMA page_size = 65536", "CREATE TABLE mine (x)"],
+        ["CREATE TABLE t (x)", "DROP TABLE t"],
+        ["PRAGMA journal_mode = WAL", "CREATE TABLE mine (x)"],
+        ["PRAGMA application_id = 1", "PRAGMA user_version = 3"],
+    ],
+)
+def test_a_database_of_somebody_else_stays_in_a_full_folder(tmp_path, statements):
+    path = tmp_path / "b-000001.sqlite"
+    other = sqlite3.connect(path, isolation_level=None)
+    for statement in statements or ["PRAGMA user_version = 7"]:
+        other.execute(statement)
+    before = path.read_bytes()
+    tidy_files(recording_files(tmp_path, "b"))
+    make_room(recording_files(tmp_path, "b"), 0)
+    assert path.read_bytes() == before
+    other.close()
+
+
+def test_a_file_that_a_kill_left_before_its_first_block_is_still_tidied(tmp_path):
+    path = tmp_path / "b-000001.sqlite"
+    begun = RecordingFile(tmp_path, "b", ABOUT)
+    head = path.read_bytes()
+    begun.close()
+    path.write_bytes(head)
+    assert head
+    tidy_files([path])
+    assert not path.exists()

@@ -1,6 +1,7 @@
 """The heat of the stack between two runs."""
 
 import math
+import os
 
 import pytest
 
@@ -48,3 +49,19 @@ def test_a_clock_that_was_set_back_cools_nothing(bench, clock):
 def test_a_file_without_sense_counts_as_the_limit(bench, content):
     bench.ring_log_path.with_name("ring.heat").write_text(content, encoding="ascii")
     assert HeatFile(bench).pop() == bench.limits.dissipation_max_W
+
+
+@pytest.mark.parametrize("kind", ["fifo", "link to a fifo", "link", "folder"])
+def test_what_stands_at_the_name_neither_blocks_nor_leads_to_a_foreign_file(bench, clock, kind):
+    path, foreign = bench.ring_log_path.with_name("ring.heat"), bench.ring_log_path.with_name("foreign")
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "fifo":
+        os.mkfifo(path)
+    else:
+        os.mkfifo(foreign) if "fifo" in kind else foreign.write_text("mine")
+        path.symlink_to(foreign)
+    assert HeatFile(bench).pop() == bench.limits.dissipation_max_W
+    HeatFile(bench).keep(0.1)
+    assert kind != "link" or foreign.read_text() == "mine"
+    assert kind == "folder" or not path.is_fifo()
