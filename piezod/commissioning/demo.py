@@ -58,7 +58,7 @@ def run_demo(on_rows: OnRows, segment_names: list[str], *, quick: bool = False) 
     segment_names.extend(segment.name for segment in segments)
     with real_time_bench() as (bench, path):
         _, model = load_bench_and_model(path)
-        history, outcome = drive(path, bench, model, segments, on_rows)
+        history, outcome = drive(path, bench, model, segments, on_rows, keeps_rows=False)
     recordings = {}
     for number, key in enumerate(keys):
         metadata = {"bench": bench.name, "reference": key[0], "compensation": key[1]}

@@ -53,7 +53,7 @@ def record_hidden_effects(folder: Path, on_rows: OnRows) -> Recording:
         bench = load_bench(path)
         voltages_V = _excitation_voltages(VIRTUAL_RATE_HZ)
         segment = SegmentSpec("work", "direct", voltages_V=voltages_V, reset_cycle=False)
-        history, outcome = drive(path, bench, None, [segment], on_rows)
+        history, outcome = drive(path, bench, None, [segment], on_rows, keeps_rows=False)
     if outcome.fault:
         raise CheckFailedError(f"the recording ended early: {outcome.fault}")
     return history.recording(0, metadata={"bench": bench.name, "hidden": "effects"}, follows_force=False)
@@ -87,7 +87,8 @@ def compare_models(folder: Path, static: Model, extended: Model, on_rows: OnRows
     ):
         with virtual_time_bench(folder, "stack", HIDDEN) as path:
             bench = load_bench(path)
-            history, outcome = drive(path, bench, model, [SegmentSpec(compensation, kind, REFERENCE)], on_rows)
+            spec = SegmentSpec(compensation, kind, REFERENCE)
+            history, outcome = drive(path, bench, model, [spec], on_rows, keeps_rows=False)
         if outcome.fault or outcome.stopped:
             raise CheckFailedError(f"{compensation}: ended early: {outcome.fault or 'stopped'}")
         metadata = {"bench": bench.name, "reference": REFERENCE_NAME, "compensation": compensation}

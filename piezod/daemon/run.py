@@ -2,14 +2,17 @@
 
 import asyncio
 import signal
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piezod.config import BenchConfig, load_bench
+from piezod.config.sections import RecorderConfig
 from piezod.daemon.journal import JOURNAL, log_line
-from piezod.errors import TemporaryError, system_error_text
-from piezod.runtime import signals
+from piezod.errors import PiezodError, TemporaryError, system_error_text
+from piezod.recorder.recording_files import remove_folder
+from piezod.runtime import clock, signals
 from piezod.session.heat_file import HeatFile
 from piezod.session.history import History, OnRows
 from piezod.session.lock import lock_bench
@@ -24,6 +27,8 @@ if TYPE_CHECKING:
     from piezod.daemon.service import Service
     from piezod.daemon.statistics import TrackingError
     from piezod.model import Model
+
+SYNC_EVERY_S = 0.05  # time between two writes of the rows of a command to the disk [s]
 
 
 @dataclass(frozen=True)
@@ -100,10 +105,13 @@ def drive(
     segments: list[SegmentSpec],
     on_rows: OnRows,
     program: Program | None = None,
+    *,
+    keeps_rows: bool = True,
 ) -> tuple[History, Outcome]:
     """Drive segments, or a program, and collect every row.
 
-    A fault, a stop from any side, SIGINT, SIGTERM or SIGHUP ends it at rest.
+    A fault, a stop from any side, SIGINT, SIGTERM or SIGHUP ends it at rest. The end of the control process counts as a
+    fault once there are rows.
 
     Parameters
     ----------
@@ -115,6 +123,9 @@ def drive(
         Drive in place of segments; None: drive `segments`.
     on_rows
         Called about ten times per second with new rows.
+    keeps_rows
+        Whether a recorder writes the rows to a folder until the end, if the bench has no recorder. The folder stays
+        only where this process is killed.
 
     Raises
     ------
@@ -127,15 +138,34 @@ def drive(
         history.add(rows)
         on_rows(rows)
 
+    is_unfinished = keeps_rows and bench.recorder is None
+    if is_unfinished:
+        folder = time.strftime(f"{bench.name}-unfinished-%Y%m%dT%H%M%SZ", time.gmtime(clock.wall_s()))
+        bench = bench.model_copy(update={"recorder": RecorderConfig(folder=folder, sync_every_s=SYNC_EVERY_S)})
     task = Task(bench, model, path.parent, tuple(segments), program=program)
     JOURNAL.is_quiet = True
     try:
-        return history, _serve(path, task, arm=False, on_rows=add).outcome
+        outcome = _serve(path, task, arm=False, on_rows=add, is_unfinished=is_unfinished).outcome
+    except PiezodError as error:
+        if not history.rows.size:
+            raise
+        outcome = Outcome(fault=str(error))
     finally:
         JOURNAL.is_quiet = False
+        if is_unfinished and bench.recordings_path is not None:
+            remove_folder(bench.recordings_path, bench.name)
+    return history, outcome
 
 
-def _serve(path: Path, task: Task, *, arm: bool, on_rows: OnRows | None, correction_size: int = 0) -> "Service":
+def _serve(
+    path: Path,
+    task: Task,
+    *,
+    arm: bool,
+    on_rows: OnRows | None,
+    correction_size: int = 0,
+    is_unfinished: bool = False,
+) -> "Service":
     """Run a service from the lock of its bench to the end, and keep the heat of the stack.
 
     The heat of a session that ended without a word is not kept: the stack may be as hot as its limit allows.
@@ -152,7 +182,7 @@ def _serve(path: Path, task: Task, *, arm: bool, on_rows: OnRows | None, correct
 
         if on_rows is None:
             _check_files(bench)
-        service = Service(path, bench, lock, session, arm=arm, on_rows=on_rows)
+        service = Service(path, bench, lock, session, arm=arm, on_rows=on_rows, is_unfinished=is_unfinished)
         service.outcome.heat_W = task.heat_W
         ended = False
         try:

@@ -50,6 +50,7 @@ FILES_INTERVAL_S = 0.5
 """Time between two looks at lock, sockets and ring log [s]: what is removed is noticed within a second."""
 UNSTOPPABLE_S = 1.0
 """Time without a socket for a stop, from its discovery, after which the bench ramps down [s]; two seconds in all."""
+UNFINISHED = {"incomplete": "the command that drove was killed"}  # metadata of the rows of such a command
 DRIVING = (State.ARMING, State.RUNNING, State.HOLD)
 ENDING = (signal.SIGTERM, signal.SIGINT)
 HANDLED = (*ENDING, signal.SIGHUP)
@@ -70,6 +71,8 @@ class Service:
     on_rows
         Called about ten times per second with new rows, shape (N,), by a command whose session drives segments. None:
         the bench file is served.
+    is_unfinished
+        Whether the files of the recorder are only needed if the command is killed.
 
     Attributes
     ----------
@@ -92,6 +95,7 @@ class Service:
         *,
         arm: bool,
         on_rows: OnRows | None = None,
+        is_unfinished: bool = False,
     ) -> None:
         self._on_rows = on_rows
         self._path, self._bench, self._lock = path, bench, lock
@@ -114,7 +118,8 @@ class Service:
         self._stops_requested = 0
         self.outcome = Outcome()
         self.statistics = TickStatistics(self._log_transition)
-        self._recorder = None if bench.recorder is None else RecorderWatch(bench, log_line)
+        about = UNFINISHED if is_unfinished else {}
+        self._recorder = None if bench.recorder is None else RecorderWatch(bench, log_line, about)
         self.model_watch = ModelWatch(path)
         self.railed_watch = RailedWatch(log_line)
         self.proof = last_proof(bench, path)

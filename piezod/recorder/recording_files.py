@@ -195,6 +195,14 @@ def remove(path: Path) -> None:
             path.with_name(path.name + suffix).unlink()
 
 
+def remove_folder(folder: Path, bench: str) -> None:
+    """Remove the files of a bench and their folder, which stays if it holds something else."""
+    with contextlib.suppress(OSError):
+        for path in recording_files(folder, bench):
+            remove(path)
+        folder.rmdir()
+
+
 def _new_file(folder: Path, bench: str) -> Path:
     """Create an empty file with the next number."""
     existing = recording_files(folder, bench)

@@ -34,10 +34,12 @@ class RecorderWatch:
         Bench configuration with a section `recorder`.
     log
         Called with one line when recording stops or continues.
+    metadata
+        Additional metadata of the files.
     """
 
-    def __init__(self, bench: BenchConfig, log: Callable[[str], None]) -> None:
-        self._plan = _recorder_plan(bench)
+    def __init__(self, bench: BenchConfig, log: Callable[[str], None], metadata: dict[str, str] | None = None) -> None:
+        self._plan = _recorder_plan(bench, metadata or {})
         self._period_s = self._plan.sync_every_s
         self._log = log
         self._following: dict[str, str] | None = None
@@ -176,7 +178,7 @@ class RecorderWatch:
                 self._process.stdin.write(json.dumps(message).encode() + b"\n")
 
 
-def _recorder_plan(bench: BenchConfig) -> Plan:
+def _recorder_plan(bench: BenchConfig, metadata: dict[str, str]) -> Plan:
     """Settings of the recorder process of a bench that has a section `recorder`."""
     config, folder = bench.recorder, bench.recordings_path
     assert config is not None
@@ -198,7 +200,8 @@ def _recorder_plan(bench: BenchConfig) -> Plan:
             "model": str(bench.model),
             "limits": bench.limits.summary,
             "drift_file": "" if bench.drift is None else str(bench.drift_path.absolute()),
-        },
+        }
+        | metadata,
         rows_around_fault=round((config.keep_around_s or 0.0) * bench.rate_Hz),
         ramp_down=State.RAMP_DOWN,
         fault=State.FAULT,

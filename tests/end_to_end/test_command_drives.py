@@ -2,10 +2,12 @@
 
 import contextlib
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 import yaml
@@ -13,8 +15,8 @@ import yaml
 from piezod.config import load_bench
 from piezod.control import State
 from piezod.daemon.client import command_and_wait
-from piezod.errors import TemporaryError
-from piezod.recording import read_csv
+from piezod.errors import PiezodError, TemporaryError
+from piezod.recording import read_csv, read_recording
 from piezod.session.heat_file import HeatFile
 from tests.benches.daemon import LONG_LIMITS
 from tests.benches.emulator import bench_file, emulator, piezod
@@ -58,7 +60,7 @@ def verb_of(name, bench, folder):
 def driving(name, bench, folder):
     """The command, once 20 ticks and more have followed its reference."""
     command = [sys.executable, "-m", "piezod", *map(str, verb_of(name, bench, folder))]
-    process = Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder)
     try:
         deadline_s, first = time.monotonic() + WITHIN_S, None
         while first is None or status_of(bench).get("ticks", 0) < first + 20:
@@ -77,6 +79,26 @@ def status_of(bench):
     with contextlib.suppress(TemporaryError):
         return command_and_wait(load_bench(bench).socket_path, "status", wait=False)
     return {}
+
+
+def unfinished(folder):
+    """Rows that a command has left on the disk."""
+    return [*folder.glob("*-unfinished-*/*")]
+
+
+def last_state(file):
+    """State in the last row of a file; None before the first block."""
+    with contextlib.suppress(PiezodError):
+        return read_recording(file).channel("state")[-1]
+    return None
+
+
+def control_process_of(process):
+    """Number of the control process of a command."""
+    for child in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text(encoding="ascii").split():
+        if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+            return int(child)
+    raise AssertionError("there is no control process")
 
 
 def at_rest(bench):
@@ -98,6 +120,34 @@ def test_a_command_that_drives_ends_at_rest_by_every_way_to_stop_it_and_keeps_it
     files = [*tmp_path.glob("out.csv"), *tmp_path.glob("out/step_*.csv")]
     assert files
     assert all(read_csv(file).time_s.size >= 20 for file in files)
+    assert not unfinished(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["record", "sequence"])
+def test_a_command_that_is_killed_leaves_every_row_to_the_rest_on_the_disk(bench, tmp_path, name):
+    with driving(name, bench, tmp_path) as process:
+        process.kill()
+        deadline_s = time.monotonic() + WITHIN_S
+        while not (files := unfinished(tmp_path)) or last_state(files[0]) != State.DISARMED:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.1)
+    (file,) = tmp_path.glob("*-unfinished-*/*.sqlite")
+    recording = read_recording(file)
+    assert recording.metadata["incomplete"] == "the command that drove was killed"
+    assert recording.time_s.size >= 20
+    assert at_rest(bench)
+
+
+@pytest.mark.parametrize("name", ["record", "sequence"])
+def test_a_control_process_that_is_killed_costs_no_row_that_came(bench, tmp_path, name):
+    with driving(name, bench, tmp_path) as process:
+        os.kill(control_process_of(process), signal.SIGKILL)
+        said = "".join(process.communicate(timeout=WITHIN_S))
+    assert process.returncode == 1, said
+    assert "ended with code -9" in said
+    (file,) = [*tmp_path.glob("out.csv"), *tmp_path.glob("out/step_*.csv")]
+    assert read_csv(file).time_s.size >= 20
+    assert not unfinished(tmp_path)
 
 
 def test_what_only_a_served_bench_obeys_is_refused_while_a_command_drives(bench, tmp_path):

@@ -68,7 +68,7 @@ def prove(path: Path, output: Path | None = None, tester: str = "") -> tuple[dic
     _, outcome = drive(path, bench, None, [], lambda _: None, ProofTest(now, tester))
     record: dict[str, Any] | None = outcome.returned
     if record is None:
-        raise CheckFailedError(f"{path}: stopped before the proof test began; nothing was driven")
+        raise CheckFailedError(f"{path}: {outcome.fault or 'stopped before the proof test began'}; no record")
     folder = target.parent if bench.proof is None else path.parent / (bench.proof.folder or "")
     record |= compare(record, earlier_records(bench, folder, now))
     write_record(record, target)

@@ -47,8 +47,8 @@ class QuietSession:
 class LaunchedSession:
     launched: ClassVar[list] = []
 
-    def __init__(self, bench, *arguments, heat_W, **more):
-        self.bench, self.heat_W = bench, heat_W
+    def __init__(self, task, *_, **more):
+        self.bench, self.heat_W = task.bench, task.heat_W
 
     def launch(self):
         self.launched.append(self)
