@@ -5,7 +5,6 @@ systemd runs it after a daemon has failed (`ExecStopPost`). An operator runs it 
 """
 
 import contextlib
-import time
 from math import isfinite, nan
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, RingLog
 from piezod.daemon import client, stop_path
 from piezod.errors import CheckFailedError, PiezodError, UnreachableError
+from piezod.runtime import clock
 from piezod.session.assembly import load_bench_without_model, make_loop, make_rate_keeper, opened_link
 from piezod.session.lock import lock_bench
 from piezod.transport import ExchangeResult, Link
@@ -126,7 +126,7 @@ def _commanded_V(link: Link) -> float:
     for _ in range(POLLS):
         with contextlib.suppress(PiezodError):
             return link.read_register("voltage_setpoint")
-        time.sleep(POLL_INTERVAL_S)
+        clock.sleep(POLL_INTERVAL_S)
     return nan
 
 
@@ -142,7 +142,7 @@ def _wait_for_rest(bench: BenchConfig, link: Link) -> float:
     """Wait until the output is at rest or falls no more; return it [V]."""
     output_V = _output_V(bench, link)
     while not _at_rest(bench, output_V):
-        time.sleep(WATCHDOG_POLL_INTERVAL_S)
+        clock.sleep(WATCHDOG_POLL_INTERVAL_S)
         before_V, output_V = output_V, _output_V(bench, link)
         if abs(output_V - before_V) < 0.1 * bench.arming.readback_within_V:
             break
@@ -155,7 +155,7 @@ def _output_V(bench: BenchConfig, link: Link) -> float:
         result = link.poll()
         if result == ExchangeResult.OK:
             break
-        time.sleep(POLL_INTERVAL_S)
+        clock.sleep(POLL_INTERVAL_S)
     else:
         raise UnreachableError(f"stop: {link.description} gives no good reading: {result.name.lower()}; try again")
     if isfinite(link.reading.voltage_readback_V):

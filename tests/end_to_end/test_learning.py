@@ -29,7 +29,7 @@ def learned(service, least_passes):
 def bench(tmp_path):
     content = yaml.safe_load(EMULATOR.read_text(encoding="utf-8")) | {"seed": 3, "effects": HIDDEN}
     (tmp_path / "emulator.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    with emulator("--port", "0", config=tmp_path / "emulator.yaml") as serves:
+    with emulator("--time", "virtual", "--port", "0", config=tmp_path / "emulator.yaml") as serves:
         yield bench_file(
             tmp_path,
             serves,

@@ -10,9 +10,9 @@ from tests.benches.emulator import ROOT, bench_file, emulator, piezod
 TRACKING = ROOT.parent / "shared" / "recordings" / "piezo-flexure" / "tracking.csv"
 
 
-@pytest.mark.real_time
+@pytest.mark.slow
 @pytest.mark.skipif(not TRACKING.exists(), reason="the recordings in ../shared are not here")
-@pytest.mark.parametrize("wire", ["tcp", pytest.param("rtu", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("wire", ["tcp", "rtu"])
 def test_a_real_reference_is_followed_better_with_the_inverse_than_with_a_gain(wire, tmp_path):
     errors = {}
     for compensation in ("gain", "inverse"):

@@ -141,7 +141,7 @@ def test_a_recorder_that_dies_is_started_again_and_nothing_is_missing_or_twice(s
     assert ticks == sorted(set(ticks))
 
 
-@pytest.mark.real_time
+@pytest.mark.slow
 def test_the_ticks_around_a_fault_have_a_file_of_their_own(serves, tmp_path):
     bench = recording_bench(tmp_path, serves, tmp_path / "kept", keep_around_s=1.0)
     with daemon(bench) as service:

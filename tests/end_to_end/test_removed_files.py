@@ -13,7 +13,7 @@ from piezod.session.lock import BenchLock, lock_bench
 from tests.benches.daemon import LONG_LIMITS, daemon
 from tests.benches.emulator import bench_file, emulator
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.slow  # rows D11 to D14 of the fault list run them by name
 WITHIN_S = 20.0
 
 

@@ -212,7 +212,7 @@ def test_the_demo_shows_that_at_most_a_quarter_of_the_hysteresis_is_left(tmp_pat
     assert len(text) < 3_000_000
 
 
-@pytest.mark.real_time
+@pytest.mark.slow
 def test_the_quick_demo_follows_one_reference_and_diagnoses_nothing(tmp_path):
     figures = tmp_path / "demo.json"
     done = piezod("demo", "--quick", "--report", tmp_path / "demo.html", "--json", figures, timeout=120)

@@ -135,7 +135,7 @@ def latched_ms(bench):
     return row["time_ns"] * 1e-6 + (time.time_ns() - time.clock_gettime_ns(time.CLOCK_BOOTTIME)) * 1e-6
 
 
-@pytest.mark.real_time
+@pytest.mark.slow
 def test_a_fault_is_on_the_screen_before_the_curves_have_gone_on_for_a_second(bench, browser):
     """In the time of the curves: a starved machine may show everything late, but not the fault later than the rest."""
     with daemon(bench) as service, watch(bench) as (_, address):
@@ -194,7 +194,7 @@ def test_a_page_whose_server_is_gone_says_so_and_comes_back_with_it(bench, brows
             page.close()
 
 
-@pytest.mark.real_time
+@pytest.mark.slow
 def test_no_viewer_and_no_companion_holds_a_tick_up(bench, browser):
     """Both stand still, stopped in the middle of whatever they did; the loop ticks on."""
     with daemon(bench) as service, watch(bench) as (process, address):

@@ -7,7 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from tests.faults import blocked_stops, interlocks, kills, replies, run
+from tests.faults import interlocks, kills, replies, run
 from tests.faults.bench_pool import open_bench_pool, raised_priority
 from tests.faults.probe import Probe
 
@@ -25,14 +25,11 @@ def main() -> int:
     killed.add_argument("--times", type=int, default=100)
     replied = studies.add_parser("replies", help="stale and false replies to the links and to plain pymodbus clients")
     replied.add_argument("--times", type=int, default=1000, help="number of replies of each kind")
-    stopped = studies.add_parser("stops", help="stops while event loop, log or files of the daemon stand still")
-    stopped.add_argument("--times", type=int, default=20, help="number of stops under each blockade")
-    stopped.add_argument("names", nargs="*", help=f"of {', '.join(blocked_stops.BLOCKADES)}; default: all")
     options = parser.parse_args()
     if options.mutate is None and options.what is None:
         parser.error("name a study, or --mutate")
     begun_s = time.monotonic()
-    code = {None: _mutate, "list": _list, "kills": _kills, "replies": _replies, "stops": _stops}[options.what](options)
+    code = {None: _mutate, "list": _list, "kills": _kills, "replies": _replies}[options.what](options)
     print(f"in {time.monotonic() - begun_s:.0f} s")
     return code
 
@@ -76,16 +73,6 @@ def _kills(options) -> int:
     problems = [f"{one.how}: {text}" for one in found for text in one.problems()]
     print("\n".join(problems) or "the device was safe every time")
     return 1 if problems else 0
-
-
-def _stops(options) -> int:
-    print(blocked_stops.HEADER, flush=True)
-    late = 0
-    for tries in blocked_stops.study(options.times, options.names):
-        print(blocked_stops.line(tries), flush=True)
-        late += sum(one.took_s > one.limit_s for one in tries)
-    print(f"{late} stops too late")
-    return 1 if late else 0
 
 
 def _progress(found) -> None:

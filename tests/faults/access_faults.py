@@ -3,7 +3,6 @@
 import contextlib
 import os
 import shutil
-import socket
 import stat
 import subprocess
 import sys
@@ -14,87 +13,6 @@ import yaml
 
 from tests.faults.bench_pool import InjectionUnavailableError, Observation, run_piezod
 from tests.faults.live_bench import DAEMON_ROOT, LiveBench
-from tests.faults.running_faults import Watch
-
-
-def crowded(pool, fault, *, command, polite=0, idle=0, crowd_s=1.0):
-    """Send a command by `piezod` while clients ask for the status, or are merely connected.
-
-    Parameters
-    ----------
-    command
-        `stop` or `disarm`.
-    polite
-        Number of clients that ask for the status ten times a second and read each answer.
-    idle
-        Number of connections that send nothing and are opened again when they are closed.
-    crowd_s
-        Time from the first client to the command [s].
-    """
-    bench = pool.bench()
-    bench.arm()
-    bench._client.close()  # the client of the test must not hold a place
-    bench._client = None
-    watch, observed, ended = Watch(bench), Observation(), threading.Event()
-    path = str(bench.folder / "ring.sock")
-    crowd = [threading.Thread(target=_ask_politely, args=(path, ended)) for _ in range(polite)]
-    crowd += [threading.Thread(target=_stay_connected, args=(path, idle, ended))] if idle else []
-    for thread in crowd:
-        thread.start()
-    time.sleep(crowd_s)
-    watch.begun_ns = bench.device.ask("mark")["now_ns"]
-    try:
-        observed.exit_code, text, took_ms = run_piezod(command, bench.path)
-        watch.until(("DISARMED",), 0.0, fault.within_ms)
-    finally:
-        ended.set()
-        for thread in crowd:
-            thread.join()
-    watch.finish(observed)
-    observed.text += text
-    observed.figures["command_ms"] = took_ms
-    bench.restore()
-    observed.armings = bench.rearms
-    return observed
-
-
-def _ask_politely(path, ended):
-    while not ended.is_set():
-        with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as client:
-            client.settimeout(2.0)
-            client.connect(path)
-            while not ended.wait(0.1):
-                client.sendall(b'{"command": "status"}\n')
-                if not client.recv(65536):
-                    break
-        time.sleep(0.02)
-
-
-def _stay_connected(path, count, ended):
-    clients = []
-    while not ended.is_set():
-        while len(clients) < count and not ended.is_set():
-            client = socket.socket(socket.AF_UNIX)
-            client.setblocking(False)
-            try:
-                client.connect(path)
-            except OSError:
-                client.close()
-                break
-            clients.append(client)
-        for client in clients[:]:
-            with contextlib.suppress(BlockingIOError):
-                try:
-                    closed = not client.recv(65536)
-                except ConnectionError:
-                    closed = True
-                if closed:
-                    client.close()
-                    clients.remove(client)
-        ended.wait(0.01)
-    for client in clients:
-        client.close()
-
 
 PRECIOUS = "time_s,voltage_V,force_N\n0.0,0.0,0.0\n0.01,1.0,2.0\n"
 
@@ -236,7 +154,6 @@ def masked(pool, fault, *, umask):
 
 
 INJECTORS = {
-    "crowded": crowded,
     "existing_files": existing_files,
     "full_file_system": full_file_system,
     "masked": masked,

@@ -1,7 +1,5 @@
 """A stop while the daemon's event loop, its log or its files stand still.
 
-    python -m tests.faults stops --times 20
-
 Each try starts a service, arms it on a constant reference, applies one blockade, and stops it by `stop`, `disarm` or
 SIGTERM in turn. The time counts from the request until the emulated amplifier reads back rest. The limit is the time of
 the ramp from the voltage at the request, and half a second.
@@ -34,7 +32,6 @@ GIVEN_UP_AFTER_S = 15.0
 REST_V = 0.5
 READBACK = 202  # register of the emulated bench
 FORCE_N = 120.0
-HUGE_BYTES = 3 << 30
 CLIENTS, LINES = 11, 200
 SILENT = 300  # more than both sockets serve
 FILLING = 1200  # messages of 90 bytes; a pipe holds 65,536 bytes
@@ -126,72 +123,6 @@ def log_stands(service):
     return lambda: None
 
 
-def log_gone(service):
-    """The reader of stderr has gone."""
-    service.process.stderr.close()
-    connection = service.send(b'{"command": "arm"}\n' * 3)
-    time.sleep(0.3)
-    return connection.close
-
-
-def _reload(service):
-    connection = service.send(b'{"command": "reload"}\n')
-    time.sleep(0.5)
-    return connection.close
-
-
-def bench_pipe(service):
-    """The bench file is a pipe at a reload."""
-    service.bench.unlink()
-    os.mkfifo(service.bench)
-    return _reload(service)
-
-
-def model_pipe(service):
-    """The model is a pipe at a reload."""
-    model = service.bench.with_name("model.yaml")
-    model.unlink()
-    os.mkfifo(model)
-    return _reload(service)
-
-
-def huge_reference(service):
-    """A reference file of 3 GB at a reload."""
-    content = yaml.safe_load(service.bench.read_text(encoding="utf-8"))
-    content["reference"] = {"kind": "file", "path": "huge.csv"}
-    with (service.bench.parent / "huge.csv").open("wb") as file:
-        file.write(b"time_s,reference_N\n0,1\n")
-        file.truncate(HUGE_BYTES)
-    service.bench.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return _reload(service)
-
-
-def bench_device(service):
-    """The bench file is a device that never ends."""
-    service.bench.unlink()
-    service.bench.symlink_to("/dev/zero")
-    return _reload(service)
-
-
-def signal_storm(service):
-    """SIGHUP, 300 times a second."""
-    ends = threading.Event()
-
-    def storm():
-        while not ends.wait(1 / 300):
-            service.process.send_signal(signal.SIGHUP)
-
-    thread = threading.Thread(target=storm)
-    thread.start()
-    time.sleep(0.5)
-
-    def end():
-        ends.set()
-        thread.join()
-
-    return end
-
-
 def silent_clients(service):
     """Clients that send nothing hold both sockets of the daemon."""
     paths = [service.socket, service.socket.with_name(service.socket.name + ".stop")]
@@ -203,52 +134,7 @@ def silent_clients(service):
     return lambda: [client.close() for client in clients]
 
 
-def many_reloads(service):
-    """Eleven clients send one reload after the other."""
-    open_ = [service.send(b'{"command": "reload"}\n' * LINES) for _ in range(CLIENTS)]
-    time.sleep(0.5)
-    return lambda: [one.close() for one in open_]
-
-
-def short_connections(service):
-    """Clients connect and close without pause, to each socket of the daemon."""
-    ends = threading.Event()
-
-    def storm(path):
-        while not ends.is_set():
-            with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as client:
-                client.settimeout(0.5)
-                client.connect(str(path))
-
-    paths = [service.socket, service.socket, service.socket.with_name(service.socket.name + ".stop")]
-    threads = [threading.Thread(target=storm, args=(path,)) for path in paths if path.exists()]
-    for thread in threads:
-        thread.start()
-    time.sleep(0.5)
-
-    def end():
-        ends.set()
-        for thread in threads:
-            thread.join()
-
-    return end
-
-
-BLOCKADES = {
-    function.__name__: function
-    for function in (
-        log_stands,
-        log_gone,
-        bench_pipe,
-        bench_device,
-        model_pipe,
-        huge_reference,
-        many_reloads,
-        short_connections,
-        silent_clients,
-        signal_storm,
-    )
-}
+BLOCKADES = {function.__name__: function for function in (log_stands, silent_clients)}
 
 
 def stop_once(blockade, way):
@@ -285,23 +171,3 @@ def _until_rest(service, begun_s):
             return took_s
         time.sleep(0.005)
     return float("inf")
-
-
-HEADER = f"{'blockade':<20}{'in time':>10}{'median [s]':>12}{'worst [s]':>11}{'limit [s]':>11}"
-
-
-def line(tries):
-    """Row of the table for one blockade."""
-    took = sorted(one.took_s for one in tries)
-    good = sum(one.took_s <= one.limit_s for one in tries)
-    limit_s = max(one.limit_s for one in tries)
-    return (
-        f"{tries[0].blockade:<20}{f'{good} of {len(tries)}':>10}{took[len(took) // 2]:>12.2f}{took[-1]:>11.2f}"
-        f"{limit_s:>11.2f}"
-    )
-
-
-def study(times, names=()):
-    """Yield the tries of one blockade after the other."""
-    for blockade in names or BLOCKADES:
-        yield [stop_once(blockade, WAYS[k % len(WAYS)]) for k in range(times)]

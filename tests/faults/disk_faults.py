@@ -56,7 +56,8 @@ def checked(pool, fault, *, tests):
     begun_s, passed, messages = time.monotonic(), 0, ""
     for place, words in tests:
         done = subprocess.run(
-            [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", place, "-k", words],
+            [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider",
+             "-m", "slow or not slow", place, "-k", words],
             capture_output=True, text=True, timeout=180, check=False, cwd=ROOT,
         )  # fmt: skip
         found = re.search(r"(\d+) passed", done.stdout)

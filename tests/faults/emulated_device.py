@@ -17,11 +17,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from pymodbus.pdu import ExceptionResponse, ModbusPDU
+from pymodbus.pdu import ModbusPDU
 
 from firmware_sim.config import Firmware, Tcp
-from firmware_sim.errors import RefusedError
-from firmware_sim.firmware.device import IDENTITY, MAP_VERSION, ORDER_CHECK, Device
+from firmware_sim.firmware.device import Device
 from firmware_sim.firmware.modbus import ModbusUnit
 from firmware_sim.physics.bench import Bench, Sample
 from firmware_sim.physics.scenario import load_scenario, with_effects
@@ -29,11 +28,9 @@ from firmware_sim.server import BACKGROUND_S, use_realtime_priority
 from firmware_sim.wire.pty import PseudoTerminal
 from firmware_sim.wire.rtu import RtuStation
 from firmware_sim.wire.tcp import serve_tcp
-from tests.contract.judged_bench import Judge, JudgedBench, restart
+from tests.contract.judged_bench import Judge, JudgedBench
 from tests.faults.proxy import PtyProxy, Rule, TcpProxy
 
-IN_FLIGHT_TURNS = 3  # turns of the event loop until forwarded frames reach the device; a reconnection takes longer
-SLIDE_N_PER_S = 1000.0  # slower than the force rate trip of the bench
 REST_V = 0.5  # largest output that counts as rest [V]
 
 
@@ -86,30 +83,24 @@ class TimedBench(JudgedBench):
 
 
 class FaultyDevice(Device):
-    """An emulated device with false readings and ignored writes on request.
+    """An emulated device with false readings on request.
 
     Attributes
     ----------
     reading_fault
         Function from the true reading to the reported one; None: the readings are true.
-    ignores_writes
-        Whether it acknowledges a set point without applying it.
+    acts_on_watchdog
+        Whether the watchdog acts whose time it keeps.
     commands
         Number of set points received.
     command_ns, requested_V
         Time [ns, monotonic] and voltage [V] of the last set point.
-    foreign_ns
-        Time of the last set point of `second_master`, which is in no other count [ns, monotonic].
     """
 
     def __init__(self, bench: TimedBench, firmware: Firmware) -> None:
         self.reading_fault: Callable[[Sample], Sample] | None = None
-        self.ignores_writes = False
-        self.commands = self.commands_to_other = 0
-        self.shift = 0  # registers by which a changed map is shifted
-        self.is_other = False
-        self.keeps_watchdog = self.acts_on_watchdog = True
-        self.command_ns = self.foreign_ns = 0
+        self.commands = self.command_ns = 0
+        self.acts_on_watchdog = True
         self.requested_V = 0.0
         super().__init__(bench, firmware, "real", time.monotonic_ns)
         bench.time_of = lambda step: self._start_ns + round((self._done_steps + step) / self._steps_per_ns)
@@ -120,105 +111,46 @@ class FaultyDevice(Device):
         return sample if self.reading_fault is None else self.reading_fault(sample)
 
     def write(self, address: int, values: Any) -> None:
-        """Write registers; a set point is counted and, with `ignores_writes`, not applied."""
-        address += self.shift
-        if address == 110 and not self.keeps_watchdog:
-            return
+        """Write registers; a set point is counted."""
         if address == 110 and not self.acts_on_watchdog:
             self._set_watchdog(0)
             self._words[110] = values[0]
             return
         if address == 100:
             self.commands += 1
-            self.commands_to_other += self.is_other
             self.command_ns = time.monotonic_ns()
             self.requested_V = struct.unpack(">f", struct.pack(">2H", *values[:2]))[0]
-            if self.ignores_writes:
-                self._words[102] = values[2] if len(values) > 2 else self._words[102]
-                self.bench.feed_watchdog()
-                return
         super().write(address, values)
-
-    def read(self, address: int, count: int) -> list[int]:
-        """Read registers, from a shifted address where the map has changed."""
-        return super().read(address + self.shift, count)
 
 
 class FaultyUnit(ModbusUnit):
-    """Modbus unit that answers with exceptions on request; the judge excuses set points of other clients."""
+    """Modbus unit whose judge excuses set points of other clients."""
 
     def __init__(self, device: Device, judge: TimedJudge) -> None:
         super().__init__(device)
         self._judge = judge
-        self.refusal: tuple[int, int, int] = (0, 0, 0)  # exception code, function (0: all), count (-1: no end)
-        self.refused_address = -1  # only requests for this address; -1: all
 
     def reply(self, frame: bytes, unit_id: int, transaction_id: int) -> ModbusPDU:
-        """Return the answer, or the requested exception."""
+        """Return the answer."""
         if frame[0] in (6, 16) and frame[1:3] == b"\0\x64":  # not the daemon, which writes with function 23
             self.device.catch_up()
             self._judge.excused = True
-        code, function, count = self.refusal
-        addressed = self.refused_address in (-1, int.from_bytes(frame[1:3], "big"))
-        if count and addressed and function in (0, frame[0]):
-            self.refusal = (code, function, count - 1)
-            answer = ExceptionResponse(frame[0], code)
-            answer.dev_id, answer.transaction_id = unit_id, transaction_id
-            return answer
         return super().reply(frame, unit_id, transaction_id)
 
 
-def false_readings(kind: str, value: float, count: int) -> Callable[[Sample], Sample]:
-    """A function that turns true readings into those of a defective load cell, monitor or firmware.
-
-    Parameters
-    ----------
-    kind
-        A key of `_FALSE_READINGS`.
-    value
-        Size of the fault, in the unit of the quantity that it changes.
-    count
-        Number of false readings; 0: no end.
-    """
-    memory: dict[str, Any] = {"n": 0, "first": None, "begun_ns": time.monotonic_ns()}
+def false_readings(kind: str) -> Callable[[Sample], Sample]:
+    """A function that keeps one quantity of the readings at its first value."""
+    name, first = STUCK[kind], []
 
     def read(sample: Sample) -> Sample:
-        memory["n"] += 1
-        if count and memory["n"] > count:
-            return sample
-        memory["first"] = memory["first"] or sample
-        return _FALSE_READINGS[kind](sample, value, memory)
+        if not first:
+            first.append(getattr(sample, name))
+        return replace(sample, **{name: first[0]})
 
     return read
 
 
-_FALSE_READINGS: dict[str, Callable[[Sample, float, dict[str, Any]], Sample]] = {
-    "force": lambda sample, value, _: replace(sample, force_N=value),
-    "offset": lambda sample, value, _: replace(sample, force_N=sample.force_N + value),
-    "creep": lambda sample, value, memory: replace(
-        sample, force_N=sample.force_N + value * 1e-9 * (time.monotonic_ns() - memory["begun_ns"])
-    ),
-    "reversed": lambda sample, _value, _told: replace(sample, force_N=-sample.force_N),
-    "gain": lambda sample, value, _: replace(sample, force_N=sample.force_N * value),
-    "stuck": lambda sample, _value, memory: replace(sample, force_N=memory["first"].force_N),
-    "frozen": lambda _sample, _value, memory: memory["first"],
-    "heartbeat_back": lambda sample, value, _: replace(sample, heartbeat=(sample.heartbeat - int(value)) & 0xFFFF),
-    "gain_creep": lambda sample, value, memory: replace(
-        sample, force_N=sample.force_N * (1 + value * 1e-9 * (time.monotonic_ns() - memory["begun_ns"]))
-    ),
-    "heartbeat_stuck": lambda sample, _value, memory: replace(sample, heartbeat=memory["first"].heartbeat),
-    "heartbeat_reversed": lambda sample, _value, _memory: replace(sample, heartbeat=-sample.heartbeat & 0xFFFF),
-    "readback_stuck": lambda sample, _value, memory: replace(
-        sample, voltage_readback_V=memory["first"].voltage_readback_V
-    ),
-    "slides": lambda sample, value, memory: replace(
-        sample, force_N=max(value, sample.force_N - SLIDE_N_PER_S * 1e-9 * (time.monotonic_ns() - memory["begun_ns"]))
-    ),
-    "every_2": lambda sample, value, memory: sample if memory["n"] % 2 else replace(sample, force_N=value),
-    "every_3": lambda sample, value, memory: sample if memory["n"] % 3 else replace(sample, force_N=value),
-    "temperature": lambda sample, value, _: replace(sample, temperature_C=value),
-    "readback": lambda sample, value, _: replace(sample, voltage_readback_V=value),
-}
+STUCK = {"stuck": "force_N", "readback_stuck": "voltage_readback_V"}
 
 
 class FaultServer:
@@ -272,89 +204,16 @@ class FaultServer:
         await self.proxy.act(what)
         return self._now()
 
-    async def do_reading_fault(self, kind: str = "", value: float | str = 0.0, count: int = 0) -> dict[str, Any]:
-        """Report false readings; without a kind, true ones. The value may be the word nan or inf."""
-        self.device.reading_fault = false_readings(kind, float(value), count) if kind else None
+    async def do_reading_fault(self, kind: str = "") -> dict[str, Any]:
+        """Report a quantity that stands still; without a kind, true readings."""
+        self.device.reading_fault = false_readings(kind) if kind else None
         return self._now()
 
-    async def do_refuse(self, code: int, function: int = 0, count: int = -1, address: int = -1) -> dict[str, Any]:
-        """Answer with exceptions; a count of 0 stops them."""
-        self.unit.refusal = (code, function, count)
-        self.unit.refused_address = address
-        return self._now()
-
-    async def do_ignore_writes(self, ignored: bool) -> dict[str, Any]:
-        """Acknowledge set points without applying them."""
-        self.device.ignores_writes = ignored
-        return self._now()
-
-    async def do_fault_bits(self, bits: int) -> dict[str, Any]:
-        """Trip the amplifier, whose output then falls; 0 switches it on again, at rest."""
-        self.device.catch_up()
-        self.judge.excused = True
-        if not bits:
-            self.bench._state["command_V"] = 0.0
-        self.bench.set_fault(bits)
-        return self._now()
-
-    async def do_restart(self) -> dict[str, Any]:
-        """Restart the firmware. The connections are reset first, so that no earlier request reaches the new state."""
-        await self.proxy.act("reset")
-        for _ in range(IN_FLIGHT_TURNS):
-            await asyncio.sleep(0)
-        self.device.catch_up()
-        restart(self.device, self.bench)
-        return self._now()
-
-    async def do_second_master(self, above_V: float, times: int, every_s: float) -> dict[str, Any]:
-        """Write the set point as a second client does: `above_V` above the present one, `times` times."""
-        begun = self._now()
-        for _ in range(times):
-            self.device.catch_up()
-            self.judge.excused = True
-            words = struct.unpack(">2H", struct.pack(">f", self.device.requested_V + above_V))
-            with contextlib.suppress(RefusedError):  # outside the range of the device
-                Device.write(self.device, 100, [*words, self.device.command_echo])
-                self.device.foreign_ns = time.monotonic_ns()
-            await asyncio.sleep(every_s)
-        return begun
-
-    async def do_other_device(
-        self,
-        words: dict[str, int] | None = None,
-        shift: int = 0,
-        resets: bool = False,
-        keeps_watchdog: bool = True,
-        acts_on_watchdog: bool = True,
-    ) -> dict[str, Any]:
-        """Become another device or firmware: other words at some addresses, or a shifted map; nothing given: the first.
-
-        With `resets`, the connections are reset, and the other device answers the next one.
-        """
-        if resets:
-            await self.proxy.act("reset")
-            for _ in range(IN_FLIGHT_TURNS):
-                await asyncio.sleep(0)
-        device = self.device
-        device._words[0:4] = [IDENTITY, MAP_VERSION, *struct.unpack(">2H", struct.pack(">f", ORDER_CHECK))]
-        for address, word in (words or {}).items():
-            device._words[int(address)] = word
-        device.shift, device.keeps_watchdog = shift, keeps_watchdog
-        device.acts_on_watchdog = acts_on_watchdog
-        device.is_other = bool(words or shift)
-        return self._now()
-
-    async def do_lose_settings(self) -> dict[str, Any]:
-        """Restart the firmware so fast that output and sample counter stay; only its settings are lost."""
-        await self.proxy.act("reset")
-        for _ in range(IN_FLIGHT_TURNS):
-            await asyncio.sleep(0)
-        Device.write(self.device, 110, [0])
-        return self._now()
-
-    async def do_idle(self, closes_after_s: float) -> dict[str, Any]:
-        """Close connections that are silent for this time [s]; 0: never."""
-        self.proxy.idle_s = closes_after_s
+    async def do_other_device(self, acts_on_watchdog: bool = True) -> dict[str, Any]:
+        """Become a firmware that keeps the time of its watchdog and does not act on it; by default, the first one."""
+        self.device.acts_on_watchdog = acts_on_watchdog
+        if not acts_on_watchdog:
+            self.device._set_watchdog(0)
         return self._now()
 
     async def do_mark(self) -> dict[str, Any]:
@@ -363,7 +222,7 @@ class FaultServer:
         self.judge.mark()
         self.proxy.done.clear()
         self.proxy.late_s = self.behind_s = 0.0
-        self.device.commands = self.device.commands_to_other = 0
+        self.device.commands = 0
         return self._now()
 
     async def do_report(self) -> dict[str, Any]:
@@ -380,9 +239,7 @@ class FaultServer:
             "rest_ns": self.judge.rest_ns,
             "command_ns": self.device.command_ns,
             "requested_V": self.device.requested_V,
-            "foreign_ns": self.device.foreign_ns,
             "commands": self.device.commands,
-            "commands_to_other": self.device.commands_to_other,
             "watchdog_ms": self.device.watchdog_ms,
             "passed": self.proxy.passed,
             "accepted": getattr(self.proxy, "accepted", 0),

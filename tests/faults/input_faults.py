@@ -91,27 +91,6 @@ _KINDS = {
 }
 
 
-def another_model(pool, fault, *, old, new):
-    """Start with a model that does not belong to this bench."""
-    bench = pool.bench()
-    bench.service.end()
-    bench.drop()
-    folder = pool.new_folder()
-    model = (ROOT / "config" / "model.yaml").read_text(encoding="utf-8")
-    assert old in model, old
-    (folder / "model.yaml").write_text(model.replace(old, new, 1), encoding="utf-8")
-    text = bench.path.read_text(encoding="utf-8")
-    path = folder / "bench.yaml"
-    path.write_text(text.replace(str(ROOT / "config" / "model.yaml"), str(folder / "model.yaml"), 1), encoding="utf-8")
-    bench.device.ask("mark")
-    code, messages, after_ms = run_piezod("run", path, "--arm")
-    report = bench.device.ask("report")
-    observed = Observation("DISARMED", code, messages, after_ms, wrong=report["wrong"])
-    observed.figures["commands"] = report["commands"]
-    bench.restore()
-    return observed
-
-
 def tls(pool, fault):
     """Connect to four TLS peers with wrong certificates, and to a plain peer that must receive no request."""
     if shutil.which("openssl") is None:
@@ -423,7 +402,6 @@ def dependencies(pool, fault):
 
 INJECTORS = {
     "bench_file": bench_file,
-    "another_model": another_model,
     "tls": tls,
     "metrics": metrics,
     "control_socket": control_socket,

@@ -20,7 +20,7 @@ import yaml
 
 from piezod.control import RingReader, State
 from piezod.daemon.client import Client
-from piezod.errors import CheckFailedError, PiezodError, UnreachableError
+from piezod.errors import CheckFailedError, UnreachableError
 from tests.benches.processes import Popen
 
 ROOT = Path(__file__).parents[2]
@@ -337,9 +337,6 @@ class LiveBench:
     def restore(self):
         """End every fault, start a daemon that has ended, and wait until the bench is disarmed and at rest."""
         self.device.ask("reading_fault")
-        self.device.ask("refuse", code=0, count=0)
-        self.device.ask("ignore_writes", ignored=False)
-        self.device.ask("fault_bits", bits=0)
         self.device.ask("other_device")
         self.device.ask("rules", rules=[])
         self.device.ask("wire", what="restore")
@@ -395,6 +392,3 @@ def exchange_end_ns(row):
 def boot_ns(monotonic_ns):
     """Convert a monotonic time to the clock of the ring log, boot time [ns]."""
     return monotonic_ns + time.clock_gettime_ns(time.CLOCK_BOOTTIME) - time.monotonic_ns()
-
-
-__all__ = ["RATE_HZ", "TICK_MS", "TIMING", "DeviceProcess", "LiveBench", "PiezodError", "Service"]

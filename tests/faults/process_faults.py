@@ -4,9 +4,7 @@ import configparser
 import os
 import shutil
 import signal
-import socket
 import time
-from pathlib import Path
 
 from piezod.control import RingReader
 from piezod.errors import PiezodError
@@ -76,26 +74,6 @@ def killed(pool, fault, *, how="SIGKILL", times=3):
             "ready_worst_ms": max(found.ready_ms),
             "usual_ready_ms": usual_ms,
         }
-    return observed
-
-
-def safe_stop(pool, fault):
-    """Kill the daemon, then run the command of ExecStopPost."""
-    bench = pool.bench()
-    bench.arm()
-    victim, parent = bench.service.control_pid(), bench.service.process
-    bench.device.ask("mark")
-    begun_s = time.monotonic()
-    os.kill(victim, signal.SIGKILL)
-    parent.kill()
-    parent.wait()
-    bench.drop()
-    code, text, _ = run_piezod("stop", bench.path, "--direct")
-    report = bench.device.ask("report")
-    observed = Observation("", code, text, 1e3 * (time.monotonic() - begun_s), wrong=report["wrong"])
-    observed.figures = {"output_V": abs(report["output_V"]), "times": 1}
-    bench.restore()
-    observed.armings = bench.rearms
     return observed
 
 
@@ -176,23 +154,6 @@ def second_instance(pool, fault):
     code, text, after_ms = run_piezod("run", bench.path)
     observed = Observation(bench.status()["state"], code, text, after_ms, wrong=bench.device.ask("report")["wrong"])
     observed.figures["names_the_holder"] = float(f"process {bench.service.process.pid}" in text)
-    return observed
-
-
-def left_behind(pool, fault):
-    """Start with lock, socket and ring log of an earlier daemon in place."""
-    bench = pool.bench()
-    bench.service.end()
-    bench.drop()
-    ring = bench.folder / "ring"
-    ring.write_bytes(b"PIEZRNG0 of another time" * 10)
-    Path(f"{ring}.lock").write_text("1\n", encoding="ascii")  # process 1 exists and holds no lock
-    stale = socket.socket(socket.AF_UNIX)
-    stale.bind(f"{ring}.sock")
-    stale.close()
-    ready_s = bench.start()
-    observed = Observation(bench.status()["state"], text=bench.service.log(), after_ms=1e3 * ready_s)
-    bench.restore()
     return observed
 
 
@@ -299,12 +260,10 @@ def other_version(pool, fault):
 INJECTORS = {
     "signalled": signalled,
     "killed": killed,
-    "safe_stop": safe_stop,
     "unfed_watchdog": unfed_watchdog,
     "crash_loop": crash_loop,
     "out_of_memory": out_of_memory,
     "second_instance": second_instance,
-    "left_behind": left_behind,
     "reconnected": reconnected,
     "long_run": long_run,
     "without_rights": without_rights,

@@ -7,11 +7,9 @@ import contextlib
 import os
 import shutil
 import signal
-import socket
 import struct
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -135,7 +133,6 @@ class Watch:
             "resident_grown_kib": _resident_kib(self.pid) - self.resident,
             "reconnected": report["accepted"] - self.accepted,
             "commands": report["commands"],
-            "commands_to_other": report["commands_to_other"],
             "watchdog_ms": report["watchdog_ms"],
             "highest_V": report["highest_V"] or 0.0,
             "deeds": report["deeds"],
@@ -257,51 +254,6 @@ def _write_as_second_client(bench, arguments):
             client.write_registers(100, list(struct.unpack(">2H", written)), device_id=1)
 
 
-def _write_register(bench, arguments):
-    """Write one register from a second client."""
-    host, _, port = bench.device.serves["direct"].rpartition(":")
-    with ModbusTcpClient(host, port=int(port), timeout=2) as client:
-        end_s = time.monotonic() + arguments.get("for_s", 0.0)
-        while True:
-            client.write_registers(arguments["address"], [arguments["value"]], device_id=1)
-            if time.monotonic() >= end_s:
-                break
-
-
-def _signals(bench, arguments):
-    for _ in range(arguments.get("times", 1)):
-        os.kill(bench.service.process.pid, getattr(signal, arguments["name"]))
-        time.sleep(arguments.get("pause_s", 0.0))
-
-
-def _edit(bench, arguments):
-    """Change the configuration file, send SIGHUP, and restore the file after the reload."""
-    text = bench.path.read_text(encoding="utf-8")
-    assert arguments["old"] in text, arguments["old"]
-    bench.path.write_text(text.replace(arguments["old"], arguments["new"], 1), encoding="utf-8")
-    os.kill(bench.service.process.pid, signal.SIGHUP)
-    bench.service.wait_for("reload", within_s=5.0, since=len(bench.service.log_lines) - 1)
-    bench.path.write_text(text, encoding="utf-8")
-
-
-def _clients(bench, arguments):
-    """Connect clients to the control socket that send nothing, send too much, or never read."""
-    path = str(bench.folder / "ring.sock")
-    found = []
-    for _ in range(arguments["count"]):
-        client = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        client.setblocking(False)
-        client.connect(path)
-        found.append(client)
-        for chunk in arguments["sends"]:
-            with contextlib.suppress(OSError):
-                for _ in range(arguments.get("repeats", 1)):
-                    client.send(chunk.encode("latin-1"))
-    timer = threading.Timer(arguments["for_s"], lambda: [client.close() for client in found])
-    timer.start()
-    timer.join()
-
-
 def _replug(bench, arguments):
     _wire(bench, "unplug")
     time.sleep(arguments["after_s"])
@@ -344,27 +296,13 @@ def _trace(bench, arguments):
 STEPS = {
     "rules": _rules,
     "wire": _wire,
-    "lie": lambda bench, arguments: bench.device.ask("reading_fault", **arguments),
-    "refuse": lambda bench, arguments: bench.device.ask("refuse", **arguments),
-    "deaf_to_writes": lambda bench, ignored: bench.device.ask("ignore_writes", ignored=ignored),
-    "fault_bits": lambda bench, bits: bench.device.ask("fault_bits", bits=bits),
-    "second_master": lambda bench, arguments: bench.device.ask("second_master", **arguments),
-    "idle": lambda bench, after_s: bench.device.ask("idle", closes_after_s=after_s),
     "write_beside": _write_as_second_client,
-    "write_register": _write_register,
-    "other_device": lambda bench, arguments: bench.device.ask("other_device", **arguments),
-    "lose_settings": lambda bench, _: bench.device.ask("lose_settings"),
-    "restart": lambda bench, _: bench.device.ask("restart"),
     "flap": _flap,
     "stop_and_go": _stop_and_go,
     "load": _load,
-    "signals": _signals,
-    "edit": _edit,
-    "clients": _clients,
     "replug": _replug,
     "measure_cpu": _measure_cpu,
     "trace": _trace,
-    "wait_s": lambda _bench, duration_s: time.sleep(duration_s),
 }
 
 INJECTORS = {"running": running, "variants": variants, "disarmed": disarmed}

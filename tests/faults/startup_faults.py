@@ -5,7 +5,6 @@ import os
 import shutil
 import socket
 import subprocess
-import sys
 import time
 
 import yaml
@@ -16,7 +15,7 @@ from piezod.runtime import sockets
 from piezod.transport import make_link
 from tests.faults.bench_pool import InjectionUnavailableError, Observation, run_piezod
 from tests.faults.live_bench import DeviceProcess, LiveBench, Service
-from tests.faults.running_faults import Watch, do
+from tests.faults.running_faults import Watch
 
 NETWORK = "10.213.77"  # addresses of the veth pair, which exists only during the fault
 
@@ -74,69 +73,6 @@ def unreachable(pool, fault, *, door, host=None):
         observed.figures["attempt_ms"] = 1e3 * (time.monotonic() - begun_s)
         observed.exit_code, text, _ = run_piezod("run", path, "--arm")
         observed.text += text
-    return observed
-
-
-def refused_at_start(pool, fault, *, wire="tcp", steps=(), old=None, new=None, arguments=("--arm",)):
-    """Start with a reachable device that is faulty, or with an edited bench file."""
-    bench = pool.bench(wire)
-    with _without_daemon(bench):
-        path = bench.path
-        if old is not None:
-            text = path.read_text(encoding="utf-8")
-            assert old in text, old
-            path = pool.new_folder() / "bench.yaml"
-            path.write_text(text.replace(old, new, 1), encoding="utf-8")
-        for step in steps:
-            do(bench, step)
-        bench.device.ask("mark")
-        code, text, after_ms = run_piezod("run", path, *arguments)
-        report = bench.device.ask("report")
-        observed = Observation("DISARMED", code, text, after_ms, wrong=report["wrong"])
-        observed.figures = {"highest_V": report["highest_V"], "commands": report["commands"]}
-    bench.restore()
-    return observed
-
-
-@contextlib.contextmanager
-def _without_daemon(bench):
-    """End the daemon of the bench, so that another can drive it."""
-    if bench.service is not None and bench.service.alive:
-        bench.service.end()
-    bench.drop()
-    yield
-
-
-def one_client_only(pool, fault):
-    """Start while another client is connected to a device that serves one client."""
-    with _own_bench(pool, {"one_client": True}) as bench:
-        host, _, port = bench.device.serves["direct"].rpartition(":")
-        text = bench.path.read_text(encoding="utf-8").replace(bench.device.serves["tcp"].rpartition(":")[2], port, 1)
-        bench.path.write_text(text, encoding="utf-8")
-        with socket.create_connection((host, int(port))):
-            time.sleep(0.1)
-            code, messages, after_ms = run_piezod("run", bench.path, "--arm")
-    return Observation("DISARMED", code, messages, after_ms)
-
-
-def port_taken(pool, fault):
-    """Start while another process holds the serial port."""
-    bench = pool.bench("rtu")
-    with _without_daemon(bench):
-        program = "import serial,sys; p=serial.Serial(sys.argv[1], exclusive=True); print('held', flush=True); "
-        program += "sys.stdin.read()"
-        holder = subprocess.Popen(
-            [sys.executable, "-c", program, bench.device.serves["rtu"]],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        with holder:
-            holder.stdout.readline()
-            code, text, after_ms = run_piezod("run", bench.path, "--arm")
-            holder.stdin.close()
-        observed = Observation("DISARMED", code, text, after_ms)
-        ends = (holder.pid, bench.device.process.pid)  # the proxy also holds the port open
-        observed.figures["names_the_holder"] = float(any(f"process {pid} " in text for pid in ends))
-    bench.restore()
     return observed
 
 
@@ -226,9 +162,6 @@ def moved_name(pool, fault):
 
 INJECTORS = {
     "unreachable": unreachable,
-    "refused_at_start": refused_at_start,
-    "one_client_only": one_client_only,
-    "port_taken": port_taken,
     "cable": cable,
     "moved_name": moved_name,
 }

@@ -8,47 +8,15 @@ import time
 import pytest
 
 from piezod.errors import ConfigurationError
-from tests.faults import disk_faults, run
+from tests.faults import run
 from tests.faults.bench_pool import open_bench_pool
 from tests.faults.catalogue import load_faults
 from tests.faults.live_bench import DeviceProcess
 from tests.faults.probe import STILL_MS, Probe
-from tests.simulation.rows import OF_PROCESSES, rows
+from tests.simulation.rows import rows
 
 FAULTS = run.faults()
-KEPT_LIVE = {
-    "T1": "READY at systemd, and the exit code of the command",
-    "T2": "a real queue that is full",
-    "T3": "a real TCP reset and refused connections",
-    "T11": "real segments",
-    "T14": "a real connection that is closed at once",
-    "T19": "the lock of a real port",
-    "P1": "a forged reply on a real socket",
-    "P10": "bytes of a real terminal",
-    "P14": "exit code and message of the command",
-    "P18": "a second Modbus client",
-    "S11": "a second Modbus client that writes the voltage",
-    "M4": "SIGSTOP of a real process",
-    "M10": "real buffers of a socket whose client never reads",
-    "V6": "one false reading through real processes",
-    "V14": "a restart of the device process",
-    "V17": "datagrams of a real socket",
-    "V19": "exit code and message of the command for a reference file",
-    "C8": "exit code and message of the command for a model",
-    "C9": "SIGHUP of a real process",
-    "R1": "SIGTERM of real processes",
-    "R4": "SIGKILL of real processes",
-    "R7": "notifications to a real socket of systemd",
-    "R9": "a lock between real processes",
-    "R10": "files that another program has left",
-    "R21": "a real pipe that is full",
-    "R26": "the time to look at a real file of 3 GB",
-    "R29": "queues of real sockets",
-    "S14": "a thousand real connections",
-    "R18": "the parent-death signal of the kernel",
-}
-"""Faults that also run in `tests/simulation`, and what only their injection into real processes shows. The other
-simulated ones are slow here, unless the list bounds a figure that only a real process has."""
+LIVE = {*run.ONLY_A_PROCESS_SHOWS.values()}
 NOT_JUDGED = []
 
 
@@ -65,26 +33,11 @@ def probe():
     sleeper.close()
 
 
-def _is_shown_by_the_simulation(fault):
-    return fault.id in SIMULATED and fault.id not in KEPT_LIVE and not {*fault.expect.figures} & {*OF_PROCESSES}
-
-
-SIMULATED = rows()
-LIVE = [fault for fault in FAULTS if not _is_shown_by_the_simulation(fault)]
-
-
 def listed(fault):
-    """A fault as a parameter.
-
-    Faults of the disk repeat the tests and the study of the recorder, and a cold cache compiles for a minute: they are
-    slow. Benches without a process of their own do not depend on the real clock. What the simulation shows as well is
-    slow too.
-    """
-    if _is_shown_by_the_simulation(fault):
-        return pytest.param(fault, id=fault.id, marks=pytest.mark.slow)
-    if fault.injector in {*disk_faults.INJECTORS, "armed_on_a_cold_cache"}:
-        return pytest.param(fault, id=fault.id, marks=pytest.mark.slow)
-    return pytest.param(fault, id=fault.id, marks=() if fault.injector in run.IN_PROCESS else pytest.mark.real_time)
+    """A fault as a parameter: without a process of its own a bench does not depend on the real clock."""
+    if fault.injector in run.IN_PROCESS:
+        return pytest.param(fault, id=fault.id)
+    return pytest.param(fault, id=fault.id, marks=pytest.mark.real_time if fault.id in LIVE else pytest.mark.slow)
 
 
 @pytest.mark.parametrize("fault", [listed(fault) for fault in FAULTS])
@@ -108,15 +61,17 @@ def test_a_fault_that_asks_for_a_running_bench_is_judged_in_real_time(name):
     assert not (name in run.IN_PROCESS and "pool.bench(" in inspect.getsource(run.INJECTORS[name]))
 
 
-def test_every_fault_that_is_kept_live_runs_in_the_simulation():
-    assert {*KEPT_LIVE} <= {*SIMULATED}
+def test_every_fault_that_is_kept_live_runs_in_the_simulation_and_as_a_process():
+    assert {*rows()} >= LIVE
+    assert {fault.id for fault in FAULTS if fault.injector not in run.IN_PROCESS} >= LIVE
+    assert len(LIVE) == len(run.ONLY_A_PROCESS_SHOWS) == 10
 
 
-def test_at_least_a_hundred_faults_are_injected_without_other_tests():
-    assert sum(fault.injector != "checked" for fault in FAULTS) >= 100
+def test_nearly_every_listed_fault_is_injected_without_other_tests():
+    assert len({*rows()} | {fault.id for fault in FAULTS if fault.injector != "checked"}) >= 170
 
 
-@pytest.mark.real_time
+@pytest.mark.slow
 def test_device_process_reports_its_own_standstill():
     device = DeviceProcess({})
     try:

@@ -8,7 +8,7 @@ from tests.faults.forgeries import KINDS
 TIMES = 3
 
 
-@pytest.mark.real_time
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["SIGKILL", "SIGSTOP"])
 def test_the_device_is_safe_within_its_watchdog_and_a_tick(how):
     found = kills.kills(how, TIMES)

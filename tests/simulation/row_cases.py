@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.faults.blocked_stops import WAYS
-from tests.faults.stream_faults import KEY
 from tests.simulation.plan import Event
-from tests.simulation.row_scripts import STREAMED_N
+from tests.simulation.row_scripts import KEY, STREAMED_N
 
 ROOT = Path(__file__).parents[2]
 FAULT_S = 3.0

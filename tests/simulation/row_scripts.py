@@ -11,12 +11,12 @@ from piezod.daemon.client import Client, command_and_wait
 from piezod.daemon.run import run_foreground
 from piezod.errors import PiezodError, TemporaryError
 from piezod.transport import make_link
-from tests.faults.stream_faults import KEY
 from tests.simulation import amplifier as judged
 from tests.simulation.machine import BOOTED_NS, Process, Thread
 
 POLL_S = 0.02
 STREAMED_N = 100.0
+KEY = bytes(range(32))  # shared by the bench and the sender of a stream
 REST_MARGIN_S = 0.5  # beside the time of the ramp
 JUDGED_AFTER_S = 4.0
 SILENT = 300  # clients: more than both sockets serve

@@ -1,12 +1,14 @@
 """The simulation itself: equal histories of a seed, and a judge that sees what is wrong."""
 
 import importlib.util
+import json
 from pathlib import Path
 
 import pytest
 
 from tests.simulation.holes import HOLES
 from tests.simulation.plan import Event, Plan, draw
+from tests.simulation.row_history import RowHistory
 from tests.simulation.runs import run, warm_up
 from tests.simulation.shrinking import shrink
 
@@ -90,6 +92,17 @@ def test_a_polite_client_of_the_metrics_is_told_the_state_beside_impolite_ones()
     result = run(Plan(1, 7.0, metrics=True, events=events))
     assert result.violations == []
     assert result.observed["scraped"] >= 10
+
+
+@pytest.mark.parametrize("per_s", [-0.3, -0.6])
+def test_a_reading_that_falls_while_the_reference_is_beyond_the_reach_of_the_stack_ends_the_drive(per_s):
+    """At the rail the voltage cannot follow the error; the force trip rate is not reached."""
+    falls = json.dumps([{"lie": {"kind": "gain_creep", "value": per_s}}])
+    events = (Event(1.8, "stream", (340.0,)), Event(2.0, "arm"), Event(3.5, "steps", (falls,)))
+    result = run(Plan(1, 7.0, reference="stream", events=events), make=RowHistory)
+    assert result.violations == []
+    assert result.observed["state"] == "FAULT"
+    assert 0.0 < result.observed["after_ms"] < 3000.0
 
 
 def test_shrinking_keeps_the_events_that_matter():

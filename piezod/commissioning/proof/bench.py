@@ -1,6 +1,5 @@
 """The bench of a proof test: hold a low voltage with the ordinary control loop, and measure the reaction."""
 
-import time
 from dataclasses import dataclass
 from math import inf, isfinite, nan
 from typing import cast
@@ -15,6 +14,7 @@ from piezod.control import check_ready as check_ready_to_arm
 from piezod.control.rate_keeper import VirtualRateKeeper
 from piezod.errors import CheckFailedError, UnreachableError
 from piezod.model import DirectDrive
+from piezod.runtime import clock
 from piezod.transport import ExchangeResult, Link
 
 PROOF_SHARE = 0.05  # of the voltage range: the level of the test
@@ -272,7 +272,7 @@ class ProofBench:
                 if stops and held == half:
                     supervisor.stop()
                 if late and self.level_reached():
-                    time.sleep(max(0.0, 1e-9 * self._clock.time_left_ns()) + LATE_TICKS * self.bench.dt_s)
+                    clock.sleep(max(0.0, 1e-9 * self._clock.time_left_ns()) + LATE_TICKS * self.bench.dt_s)
                 loop.wait()
         finally:
             self._changed.changes = UNCHANGED
