@@ -66,12 +66,24 @@ def test_a_smooth_stack_needs_no_corner(by_all):
     assert found is None or found[1].loss > RULES.better * smooth.loss
 
 
+def bent(per_N):
+    chain, start = chain_over(few_plays, lambda force_N: force_N + per_N * force_N**2)
+    return search(chain, start, lambda *_: None)
+
+
 @pytest.mark.slow
 def test_what_corners_explain_gets_no_name_and_what_they_do_not_keeps_its_own():
     assert search(*chain_over(few_plays), lambda *_: None).names == ()
-    bent = search(*chain_over(few_plays, lambda force_N: force_N + 1e-4 * force_N**2), lambda *_: None)
-    assert bent.names == ("output_nonlinearity",)
-    assert bent.hypothesis.loss < 1.1
+    found = bent(1.5e-4)
+    assert found.names == ("output_nonlinearity",)
+    assert found.hypothesis.loss < 1.1
+
+
+@pytest.mark.slow
+def test_a_bend_that_another_gain_explains_within_two_percent_is_told_as_that():
+    found = bent(1e-4)
+    assert found.names == ("gain",)
+    assert found.hypothesis.loss < 1.02
 
 
 @pytest.mark.parametrize("by_all", [False, True])
