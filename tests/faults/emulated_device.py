@@ -221,7 +221,7 @@ class FaultServer:
         self.device.catch_up()
         self.judge.mark()
         self.proxy.done.clear()
-        self.proxy.late_s = self.behind_s = 0.0
+        self.behind_s = 0.0
         self.device.commands = 0
         return self._now()
 
@@ -245,7 +245,6 @@ class FaultServer:
             "accepted": getattr(self.proxy, "accepted", 0),
             "done": [asdict(action) for action in self.proxy.done[:50]],
             "deeds": len(self.proxy.done),
-            "late_ms": 1e3 * self.proxy.late_s,
             "behind_ms": 1e3 * self.behind_s,
         }
 

@@ -329,11 +329,6 @@ class LiveBench:
         """Rows of the ring log since the last call."""
         return self._ring.read()
 
-    def reopen_ring(self):
-        """Read the ring log of a control process that was started again."""
-        self._ring = RingReader(self.folder / "ring")
-        self._wait_good()
-
     def restore(self):
         """End every fault, start a daemon that has ended, and wait until the bench is disarmed and at rest."""
         self.device.ask("reading_fault")

@@ -22,27 +22,16 @@ from typing import Literal
 from tests.faults.forgeries import forged
 
 Way = Literal["request", "reply"]
+Send = Callable[[bytes, Way], None]
 ACTIONS = (
-    "delay",  # forward it `by` seconds later; later frames wait too
-    "drop",
     "duplicate",  # twice in one segment
     "split",  # into segments, eight of them of one byte; they begin one byte later in each frame
     "corrupt",  # invert one bit in the middle
-    "reset",  # reset the connection instead of forwarding the frame
-    "close",
-    "half_open",  # forward nothing from now on, without closing the connection
-    "stall",  # hold all frames of both directions for `by` seconds
-    "lag",  # hold each frame until the next one of its direction
     "forge",  # a false reply of `kind` instead
-    "noise",  # three bytes before the frame, two after it
-    "echo",  # send a request back to its sender, before the reply
-    "throttle",  # `by` bytes a second
     "random",  # random bytes instead, at least as many
 )
-NOISE = (b"\x55\x00\xff", b"\xaa\x7e")
 READ_BYTES = 4096
 SINGLE_BYTES = 8  # segments of one byte in a split frame
-ROUNDED_S = 0.0015
 
 
 @dataclass
@@ -59,8 +48,6 @@ class Rule:
         Number of frames that are forwarded unchanged first.
     count
         Number of frames to act on; 0: all later ones.
-    by
-        Duration [s], or rate of `throttle` [byte/s].
     kind
         Kind of a false reply, one of `forgeries.KINDS`.
     """
@@ -69,7 +56,6 @@ class Rule:
     way: Way = "reply"
     after: int = 0
     count: int = 1
-    by: float = 0.0
     kind: str = ""
 
     def __post_init__(self) -> None:
@@ -105,32 +91,21 @@ class _Wire:
         self.rules: list[Rule] = []
         self.done: list[ProxyAction] = []
         self.passed = 0
-        self.late_s = 0.0  # largest excess over a requested delay
         self._before = b""
         self._forged = 0
         self._splits = 0
         self._random = random.Random(1)
-        self._flowing = asyncio.Event()
-        self._flowing.set()
 
     def schedule(self, rules: list[Rule]) -> None:
-        """Replace the rules and end a stall."""
+        """Replace the rules."""
         self.rules = rules
-        self._flowing.set()
 
     def note(self, do: str, way: str = "", frame: bytes = b"") -> None:
         """Add an action to `done`."""
         self.done.append(ProxyAction(time.monotonic_ns(), do, way, frame.hex()))
 
-    def stall(self, duration_s: float) -> None:
-        """Hold all frames for `duration_s`."""
-        self.note("stall")
-        self._flowing.clear()
-        asyncio.get_running_loop().call_later(duration_s, self._flowing.set)
-
-    async def carry(self, frame: bytes, way: Way, line: "_Line") -> None:
+    async def carry(self, frame: bytes, way: Way, send: Send) -> None:
         """Forward a frame, or apply the first rule that takes it."""
-        await self._flowing.wait()
         rule = self._rule(way)
         if way == "reply":
             before, self._before = self._before, frame
@@ -138,39 +113,17 @@ class _Wire:
             before = b""
         if rule is None:
             self.passed += 1
-            line.send(frame, way)
+            send(frame, way)
             return
         self.note(rule.do, way, frame)
-        await self._do(rule, frame, before, way, line)
+        for part in self._changed(rule, frame, before):
+            send(part, way)
+            await asyncio.sleep(0)  # send each part in its own segment
 
     def _rule(self, way: Way) -> Rule | None:
         """The first rule that applies to the frame; all rules count the frame."""
         taken = [rule for rule in self.rules if rule.takes(way)]
         return taken[0] if taken else None
-
-    async def _do(self, rule: Rule, frame: bytes, before: bytes, way: Way, line: "_Line") -> None:
-        """Apply a rule; `_changed` makes the bytes of rules that change the frame."""
-        match rule.do:
-            case "reset" | "close" | "half_open":
-                line.act(rule.do)
-            case "delay" | "throttle":
-                late_s = await _pause(rule.by if rule.do == "delay" else len(frame) / rule.by)
-                self.late_s = max(self.late_s, late_s)
-                line.send(frame, way)
-            case "stall":
-                self.stall(rule.by)
-                await self._flowing.wait()
-                line.send(frame, way)
-            case "lag":
-                held, line.held[way] = line.held.get(way, b""), frame
-                line.send(held, way)
-            case "echo":
-                line.send(frame, "reply")
-                line.send(frame, "request")
-            case _:
-                for part in self._changed(rule, frame, before):
-                    line.send(part, way)
-                    await asyncio.sleep(0)  # send each part in its own segment
 
     def _changed(self, rule: Rule, frame: bytes, before: bytes) -> list[bytes]:
         """The segments sent instead of a frame."""
@@ -179,11 +132,9 @@ class _Wire:
             return [forged(rule.kind, frame, before, self._forged - 1, framing=self.framing)]
         at = len(frame) // 2
         changes: dict[str, Callable[[], list[bytes]]] = {
-            "drop": list,
             "duplicate": lambda: [frame + frame],
             "split": lambda: self._split(frame),
             "corrupt": lambda: [frame[:at] + bytes((frame[at] ^ 0x10,)) + frame[at + 1 :]],
-            "noise": lambda: [NOISE[0] + frame + NOISE[1]],
             "random": lambda: [self._random.randbytes(len(frame) + self._random.randrange(40))],
         }
         return changes.get(rule.do, lambda: [frame])()
@@ -200,40 +151,6 @@ class _Wire:
         return [segment for segment in segments if segment]
 
 
-async def _pause(duration_s: float) -> float:
-    """Wait; returns the excess over `duration_s` [s].
-
-    asyncio alone rounds up to whole milliseconds, a large part of a tick; so the last part polls the clock.
-    """
-    end_s = time.monotonic() + duration_s
-    if duration_s > ROUNDED_S:
-        await asyncio.sleep(duration_s - ROUNDED_S)
-    while time.monotonic() < end_s:  # noqa: ASYNC110  # nothing sets an event for the passing of time
-        await asyncio.sleep(0)
-    return time.monotonic() - end_s
-
-
-class _Line:
-    """One connection through the proxy."""
-
-    def __init__(self, send: Callable[[bytes, Way], None], act: Callable[[str], None]) -> None:
-        self._send, self._act = send, act
-        self.held: dict[str, bytes] = {}
-        self.dead = False
-
-    def send(self, data: bytes, way: Way) -> None:
-        """Send data in the given direction unless the line is half open."""
-        if data and not self.dead:
-            self._send(data, way)
-
-    def act(self, what: str) -> None:
-        """Reset or close the connection, or (`half_open`) stop forwarding."""
-        if what == "half_open":
-            self.dead = True
-        else:
-            self._act(what)
-
-
 class TcpProxy(_Wire):
     """A proxy that listens for the daemon and connects to the device over TCP.
 
@@ -247,11 +164,9 @@ class TcpProxy(_Wire):
         super().__init__()
         self.upstream = upstream
         self.accepted = 0
-        self.silent = False
-        self.idle_s = 0.0
         self._address: tuple[str, int] = ("127.0.0.1", 0)
         self._server: asyncio.Server | None = None
-        self._lines: dict[_Line, asyncio.StreamWriter] = {}
+        self._writers: set[asyncio.StreamWriter] = set()
         self._served: set[asyncio.Task[None]] = set()
 
     async def open(self, host: str = "127.0.0.1", port: int = 0) -> int:
@@ -261,28 +176,16 @@ class TcpProxy(_Wire):
         return self._address[1]
 
     async def act(self, what: str) -> None:
-        """Act on every connection, or on the listening socket, at once.
-
-        `reset`, `close`, `half_open`: act on the connections. `refuse`: stop listening and reset the connections.
-        `silent`: half open, for present and new connections. `restore`: listen and forward again; half-open
-        connections are reset.
-        """
+        """`refuse`: stop listening and reset the connections. `restore`: listen again."""
         self.note(what)
-        if what in ("refuse", "restore") and self._server is not None:
+        if self._server is not None:
             self._server.close()
             self._server = None
         if what == "restore":
-            self.silent = False
-            for line in [line for line in self._lines if line.dead]:
-                _end(self._lines[line], "reset")
             await self.open(*self._address)
-        elif what == "silent":
-            self.silent = True
-            for line in self._lines:
-                line.act("half_open")
         else:
-            for line in list(self._lines):
-                line.act("reset" if what == "refuse" else what)
+            for writer in list(self._writers):
+                _reset(writer)
 
     async def close(self) -> None:
         """Stop listening and close the connections."""
@@ -305,59 +208,39 @@ class TcpProxy(_Wire):
             writer.transport.abort()
             return
         ends: dict[str, asyncio.StreamWriter] = {"request": to_device, "reply": writer}
-        line = _Line(lambda data, way: ends[way].write(data), lambda what: _end(writer, what))
-        line.dead = self.silent
-        self._lines[line] = writer
+        self._writers.add(writer)
         pumps = [
-            asyncio.ensure_future(self._pump(reader, "request", line)),
-            asyncio.ensure_future(self._pump(from_device, "reply", line)),
+            asyncio.ensure_future(self._pump(reader, "request", ends)),
+            asyncio.ensure_future(self._pump(from_device, "reply", ends)),
         ]
         try:
             await asyncio.wait(pumps, return_when=asyncio.FIRST_COMPLETED)
         except asyncio.CancelledError:  # the proxy is being closed
             pass
         finally:
-            self._lines.pop(line, None)
+            self._writers.discard(writer)
             for pump in pumps:
                 pump.cancel()
             for end in ends.values():
-                end.transport.abort() if line.dead else end.close()
+                end.close()
             await asyncio.gather(*pumps, return_exceptions=True)
 
-    async def _pump(self, reader: asyncio.StreamReader, way: Way, line: _Line) -> None:
+    async def _pump(self, reader: asyncio.StreamReader, way: Way, ends: dict[str, asyncio.StreamWriter]) -> None:
         """Forward the frames of one direction; the MBAP length delimits them."""
         waiting = b""
         with contextlib.suppress(OSError):
-            while data := await self._read(reader, way, line):
+            while data := await reader.read(READ_BYTES):
                 waiting += data
                 while len(waiting) >= 6 and len(waiting) >= (size := 6 + struct.unpack_from(">H", waiting, 4)[0]):
                     frame, waiting = waiting[:size], waiting[size:]
-                    await self.carry(frame, way, line)
-            if line.dead:
-                await asyncio.Event().wait()  # a half-open connection does not report the end of the other side
-
-    async def _read(self, reader: asyncio.StreamReader, way: Way, line: _Line) -> bytes:
-        """Read the next bytes; closes the connection of a client that is silent for `idle_s`."""
-        if way == "reply" or self.idle_s == 0.0:
-            return await reader.read(READ_BYTES)
-        try:
-            async with asyncio.timeout(self.idle_s):
-                return await reader.read(READ_BYTES)
-        except TimeoutError:
-            self.note("idle")
-            line.act("close")
-            return b""
+                    await self.carry(frame, way, lambda data, way: ends[way].write(data))
 
 
-def _end(writer: asyncio.StreamWriter, what: str) -> None:
-    """Close a connection; `what` is `reset` or `close`."""
-    if what == "reset":
-        connection = writer.get_extra_info("socket")
-        with contextlib.suppress(OSError):
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-        writer.transport.abort()
-    else:
-        writer.close()
+def _reset(writer: asyncio.StreamWriter) -> None:
+    """Reset a connection."""
+    with contextlib.suppress(OSError):
+        writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    writer.transport.abort()
 
 
 class PtyProxy(_Wire):
@@ -379,7 +262,6 @@ class PtyProxy(_Wire):
         self._device = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         self._master = self._slave = -1
         self._pumps: set[asyncio.Task[None]] = set()
-        self._line = _Line(self._send, lambda _: None)
         self._queues: dict[str, asyncio.Queue[bytes]] = {"request": asyncio.Queue(), "reply": asyncio.Queue()}
 
     async def open(self) -> None:
@@ -391,16 +273,12 @@ class PtyProxy(_Wire):
         self._plug()
 
     async def act(self, what: str) -> None:
-        """`unplug` removes the terminal, `plug` adds a new one behind the same link, `silent` stops forwarding."""
+        """`unplug` removes the terminal, `plug` and `restore` add a new one behind the same link."""
         self.note(what)
         if what == "unplug":
             self._unplug()
-        elif what in ("plug", "restore"):
-            self._line.dead = False
-            if self._master < 0:
-                self._plug()
-        elif what in ("silent", "half_open"):
-            self._line.dead = True
+        elif self._master < 0:
+            self._plug()
 
     async def close(self) -> None:
         """Remove the terminal and stop forwarding."""
@@ -434,7 +312,7 @@ class PtyProxy(_Wire):
 
     async def _pump(self, way: Way) -> None:
         while True:
-            await self.carry(await self._queues[way].get(), way, self._line)
+            await self.carry(await self._queues[way].get(), way, self._send)
 
     def _send(self, data: bytes, way: Way) -> None:
         descriptor = self._device if way == "request" else self._master

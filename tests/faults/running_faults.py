@@ -66,7 +66,6 @@ def disarmed(pool, fault, *, steps, wire="tcp", for_s=1.0):
         do(bench, step)
     time.sleep(for_s)
     watch.finish(observed)
-    bench.device.ask("idle", closes_after_s=0.0) if wire == "tcp" else None
     bench.restore()
     observed.armings = bench.rearms
     return observed
@@ -136,7 +135,6 @@ class Watch:
             "watchdog_ms": report["watchdog_ms"],
             "highest_V": report["highest_V"] or 0.0,
             "deeds": report["deeds"],
-            "late_ms": report["late_ms"],
             "behind_ms": report["behind_ms"],
         }
         if safe is not None:
