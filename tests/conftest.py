@@ -19,7 +19,7 @@ settings.load_profile("piezod")
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):  # one worker a core; children inherit it
     os.environ.setdefault(name, "1")
 
-ORDER = ("tests/end_to_end/", "tests/unit/diagnose/", "tests/contract/", "tests/", "real time")
+ORDER = ("tests/simulation/", "tests/end_to_end/", "tests/unit/diagnose/", "tests/contract/", "tests/", "real time")
 """Groups by what their names start with: those that take longest come first."""
 
 

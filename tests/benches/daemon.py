@@ -26,6 +26,14 @@ LONG_LIMITS = {"comm_loss_ms": 9000, "device_watchdog_ms": 8000, "stale_after_ms
 WITHIN_S = 120.0  # of a service that hangs; a test waits for what happens, however busy the machine is
 
 
+def until(condition):
+    """Wait until something is so."""
+    deadline_s = time.monotonic() + WITHIN_S
+    while not condition():
+        assert time.monotonic() < deadline_s, "it did not happen in time"
+        time.sleep(0.05)
+
+
 class Daemon:
     """One running service.
 

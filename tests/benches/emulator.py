@@ -31,7 +31,7 @@ def emulator(*arguments, config=EMULATOR):
         yield json.loads(line)
     finally:
         process.stdin.close()  # which ends it; a signal on top could meet it while it is ending
-        code = process.wait(timeout=10)
+        code = process.wait(timeout=60)
         process.stdout.close()
         assert code == 0
 

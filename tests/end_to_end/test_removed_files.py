@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import time
 
 import pytest
 
@@ -10,11 +9,10 @@ from piezod.config import load_bench
 from piezod.errors import BusyError, UnreachableError
 from piezod.recording.ring_log import RingReader
 from piezod.session.lock import BenchLock, lock_bench
-from tests.benches.daemon import LONG_LIMITS, daemon
+from tests.benches.daemon import LONG_LIMITS, WITHIN_S, daemon, until
 from tests.benches.emulator import bench_file, emulator
 
 pytestmark = pytest.mark.slow  # rows D11 to D14 of the fault list run them by name
-WITHIN_S = 20.0
 
 
 @pytest.fixture
@@ -27,13 +25,6 @@ def driven(tmp_path):
             running.tell("arm")
             yield running
             assert running.end() == 0
-
-
-def until(condition):
-    deadline_s = time.monotonic() + WITHIN_S
-    while not condition():
-        assert time.monotonic() < deadline_s, "it did not happen in time"
-        time.sleep(0.05)
 
 
 def is_readable(ring):

@@ -13,7 +13,7 @@ import yaml
 
 from piezod.config import load_bench
 from piezod.errors import TemporaryError
-from tests.benches.daemon import PATIENT, change, client, daemon, register
+from tests.benches.daemon import PATIENT, WITHIN_S, change, client, daemon, register
 from tests.benches.emulator import bench_file, emulator, piezod
 
 READBACK, SET_POINT = 202, 100
@@ -45,8 +45,7 @@ def test_a_bench_is_armed_and_disarmed_over_the_socket_and_the_service_stays(ben
         armed = service.command("arm", "--json")
         assert armed.returncode == 0, armed.stderr
         assert json.loads(armed.stdout)["state"] == "RUNNING"
-        time.sleep(1.0)
-        assert register(serves, READBACK) > 3.0
+        service.wait_until(lambda: register(serves, READBACK) > 3.0, "a voltage")
         disarmed = service.command("disarm", "--json")
         assert json.loads(disarmed.stdout)["state"] == "DISARMED"
         assert register(serves, READBACK) == pytest.approx(0.0, abs=0.1)
@@ -276,9 +275,9 @@ def test_a_killed_control_process_ends_the_service_and_the_device_is_safe_by_its
     with daemon(bench) as service:
         service.connected()
         assert service.tell("arm")["state"] == "RUNNING"
-        time.sleep(1.0)
+        service.wait_until(lambda: register(serves, READBACK) > 3.0, "a voltage")
         os.kill(service.control_pid(), signal.SIGKILL)
-        assert service.process.wait(timeout=20) == 1
+        assert service.process.wait(timeout=WITHIN_S) == 1
         assert "the control process ended with code -9" in "".join(service.said)
     time.sleep(2.0)
     assert register(serves, READBACK) == pytest.approx(0.0, abs=0.1)

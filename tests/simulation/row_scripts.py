@@ -19,6 +19,7 @@ STREAMED_N = 100.0
 KEY = bytes(range(32))  # shared by the bench and the sender of a stream
 REST_MARGIN_S = 0.5  # beside the time of the ramp
 JUDGED_AFTER_S = 4.0
+STAYS_S = 0.5  # at rest, before the blockade ends
 SILENT = 300  # clients: more than both sockets serve
 MESSAGES = 200
 
@@ -259,10 +260,9 @@ def stop_while_blocked(history, blockade, way):
         service.signal(signal.SIGTERM)
     else:
         Thread(history.operator, lambda: _quietly(history, way), way)
-    machine.sleep(JUDGED_AFTER_S)
-    history.amplifier.catch_up()
-    judge = history.amplifier.judge
-    rest_step = judge[judged.REST_STEP]
+    wait(history, lambda: _rest_step(history) >= 0, JUDGED_AFTER_S)
+    machine.sleep(STAYS_S)
+    rest_step = _rest_step(history)
     rest_ns = BOOTED_NS + round(1e9 * history.amplifier.time_of(rest_step)) if rest_step >= 0 else 1 << 62
     took_s, limits = 1e-9 * (rest_ns - begun_ns), load_bench(history.driven_path).limits
     per_s = limits.slew_V_per_s if way == "stop" else limits.ramp_down_V_per_s
@@ -270,6 +270,12 @@ def stop_while_blocked(history, blockade, way):
     history.counted["late"] += took_s > from_V / per_s + REST_MARGIN_S
     history.counted["took_ms"] = 1e3 * took_s
     unblock()
+
+
+def _rest_step(history):
+    """Step of the physics at which the output came to rest; negative while it is not at rest."""
+    history.amplifier.catch_up()
+    return history.amplifier.judge[judged.REST_STEP]
 
 
 def _quietly(history, command):
