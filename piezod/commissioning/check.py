@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from piezod.commissioning.check_device import check_device
 from piezod.commissioning.check_machine import check_configuration_file, check_machine
-from piezod.commissioning.check_reference import check_reference
+from piezod.commissioning.check_reference import check_distances, check_reference
 from piezod.commissioning.check_result import Check
 from piezod.config import BenchConfig, load_bench, model_path
 from piezod.config.link import ModbusTcpLink, RtuOverTcpLink
@@ -57,6 +57,7 @@ def check_bench(path: Path) -> list[Check]:
         check_units(model, model_path(bench, path))
         checks.extend(check_model_effects(bench, model, path))
         checks.append(_force_range(bench, model))
+        checks.extend(check_distances(bench, model))
         checks.extend(check_reference(bench, model, path.parent))
     checks.extend(check_configuration_file(path))
     checks.extend(_arming(bench))

@@ -17,6 +17,7 @@ class LimitsConfig(Section):
     slew_V_per_s: Positive
     slew_down_V_per_s: Positive | None = None
     acceleration_V_per_s2: Positive | None = None
+    deceleration_V_per_s2: Positive | None = None
     resonance_Hz: Positive | None = None
     current_max_A: Positive
     capacitance_F: Positive
@@ -66,6 +67,11 @@ class LimitsConfig(Section):
         return self.slew_down_V_per_s or self.slew_V_per_s
 
     @property
+    def braking_s(self) -> float:
+        """Longest time until a rising voltage turns after a stop or a fault [s]."""
+        return self.slew_V_per_s / self.deceleration_V_per_s2 if self.deceleration_V_per_s2 else 0.0
+
+    @property
     def full_range_s(self) -> float:
         """Shortest time for the whole voltage range [s] at the given slew and acceleration."""
         span_V, slew = self.voltage_max_V - self.voltage_min_V, max(self.slew_V_per_s, self.fall_V_per_s)
@@ -94,6 +100,13 @@ class LimitsConfig(Section):
         down = "slew_V_per_s" if self.slew_down_V_per_s is None else "slew_down_V_per_s"
         limit = f"at most {down}, {self.fall_V_per_s:g}"
         require(self.ramp_down_V_per_s <= self.fall_V_per_s, "ramp_down_V_per_s", self.ramp_down_V_per_s, limit)
+        return self
+
+    @model_validator(mode="after")
+    def _a_stop_is_not_gentler_than_the_reference(self) -> Self:
+        least, own = self.acceleration_V_per_s2, self.deceleration_V_per_s2
+        if least is not None and own is not None:
+            require(own >= least, "deceleration_V_per_s2", own, f"at least acceleration_V_per_s2, {least:g}")
         return self
 
     @model_validator(mode="after")

@@ -3,8 +3,9 @@
     stop > fault > limit of the operator > comfort (ramp, acceleration, approach) > reference
 
 `AUTHORITY` is this order as a table. The first demand that holds in a tick is obeyed alone; a lower one never slows it.
-An acceleration limit spares the load in normal operation. A stop or a fault ignores it: the output turns at once, and
-rises by not one more tick. The slew limit of the amplifier holds for every demand: the hardware cannot do more.
+An acceleration limit spares the load in normal operation. A stop or a fault ignores it: the output turns at once, or
+within `limits.deceleration_V_per_s2` where the load is too inert for that. The force interlock counts this way ahead.
+The slew limit of the amplifier holds for every demand: the hardware cannot do more.
 """
 
 from enum import IntEnum
@@ -32,7 +33,7 @@ class Motion(NamedTuple):
     at_slew
         At the slew limit; False: at the comfortable rate, `limits.ramp_down_V_per_s` or that of the approach.
     at_once
-        Without the acceleration limit.
+        Without the acceleration limit; with `limits.deceleration_V_per_s2` if there is one.
     """
 
     to_safe: bool

@@ -17,6 +17,8 @@ from piezod.transport.status import STATUS_CLAMPED, STATUS_OUTPUT_ON
 STRANGE_SAMPLES = 10
 """Implausible temperatures in a row that trip: a temperature changes slowly, and a sample may be lost."""
 
+SLOPE_SHARE = 0.01  # of the voltage range: way over which the slope of the force is measured
+
 SECOND_SAMPLE = WRONG + 1
 """Level of a second wrong sample, unless so many right ones lie between that the first has leaked away."""
 
@@ -28,6 +30,9 @@ class ForceInterlock:
     when it differs too much from the last right sample, for the time since then. A spike ends with the next sample; a
     lasting jump stays wrong.
 
+    A force limit counts the way that the output would still rise while it brakes, as force. The slope is that over the
+    last `SLOPE_SHARE` of the voltage range.
+
     Attributes
     ----------
     suspect
@@ -38,8 +43,6 @@ class ForceInterlock:
         Leaky count of wrong samples.
     """
 
-    __slots__ = ("_force_N", "_max_N", "_min_N", "_rate_N_per_ns", "_time_ns", "count", "spikes", "suspect")
-
     def __init__(self, limits: LimitsConfig) -> None:
         self.spikes = 0
         self.count = LeakyCount()
@@ -49,14 +52,32 @@ class ForceInterlock:
     def set_limits(self, limits: LimitsConfig) -> None:
         """Replace the limits; the earlier samples and the debounce stay."""
         self._max_N, self._min_N = limits.force_trip_N, limits.force_min_N
+        self._way_V = SLOPE_SHARE * (limits.voltage_max_V - limits.voltage_min_V)
         self._rate_N_per_ns = inf if limits.force_rate_trip_N_per_s is None else 1e-9 * limits.force_rate_trip_N_per_s
         self.count.trips_at = WRONG * limits.force_debounce_samples
 
     def clear(self) -> None:
         """Discard the earlier samples."""
         self._force_N, self._time_ns = nan, 0
+        self._from_V = self._from_N = self._slope_N_per_V = self._braking_N = 0.0
         self.count.clear()
         self.suspect = False
+
+    def count_braking(self, force_N: float, written_V: float, braking_V: float) -> None:
+        """Add the rise of the force while the output brakes to the next force that is checked.
+
+        Parameters
+        ----------
+        force_N, written_V
+            Force read [N], and voltage in force [V].
+        braking_V
+            `Limiter.braking_V` [V].
+        """
+        moved_V = written_V - self._from_V
+        if abs(moved_V) >= self._way_V:
+            self._slope_N_per_V = max(0.0, (force_N - self._from_N) / moved_V)
+            self._from_V, self._from_N = written_V, force_N
+        self._braking_N = self._slope_N_per_V * braking_V
 
     def check(self, force_N: float, now_ns: int) -> Cause:
         """Cause of a trip; `Cause.NONE` inside the limits and during the debounce.
@@ -69,7 +90,7 @@ class ForceInterlock:
             Monotonic time of the reading [ns].
         """
         cause = Cause.NONE
-        if force_N > self._max_N:
+        if force_N + self._braking_N > self._max_N:
             cause = Cause.OVER_FORCE
         elif force_N < self._min_N:
             cause = Cause.UNDER_FORCE

@@ -21,7 +21,7 @@ class Limiter:
     Attributes
     ----------
     at_once
-        Whether the acceleration limit is ignored: a stop or a fault moves the output.
+        Whether the deceleration limit holds in place of the acceleration limit: a stop or a fault moves the output.
     lowest_sent_V, highest_sent_V
         Range of the voltages that the device may have in force [V].
     """
@@ -29,6 +29,7 @@ class Limiter:
     __slots__ = (
         "_acceleration_V",
         "_applied_V",
+        "_deceleration_V",
         "_dt_s",
         "_fall_V",
         "_high_V",
@@ -54,8 +55,14 @@ class Limiter:
         self._step_V = limits.voltage_step_V
         self._rise_V = limits.slew_V_per_s * self._dt_s
         self._fall_V = limits.fall_V_per_s * self._dt_s
-        acceleration = limits.acceleration_V_per_s2
-        self._acceleration_V = inf if acceleration is None else acceleration * self._dt_s**2
+        self._acceleration_V = (limits.acceleration_V_per_s2 or inf) * self._dt_s**2
+        self._deceleration_V = (limits.deceleration_V_per_s2 or inf) * self._dt_s**2
+
+    @property
+    def braking_V(self) -> float:
+        """Way that the output still rises if a stop or a fault comes now [V]."""
+        change, deceleration = self._last_change_V, self._deceleration_V
+        return 0.5 * change * (change - deceleration) / deceleration if change > deceleration else 0.0
 
     @property
     def span_V(self) -> float:
@@ -96,8 +103,11 @@ class Limiter:
             Time since the last command [ticks], 0 to 1.
         """
         voltage_V = self.nearest(planned_V if isfinite(planned_V) else self._applied_V)
-        if self._acceleration_V != inf and not self.at_once:
-            voltage_V = self._accelerated(voltage_V)
+        acceleration_V = self._deceleration_V if self.at_once else self._acceleration_V
+        if acceleration_V != inf:
+            voltage_V = self._accelerated(voltage_V, acceleration_V)
+            if self.at_once:  # a slower rate is reached within the deceleration too
+                change_V = max(change_V, abs(self._last_change_V) - acceleration_V)
         low = self.highest_sent_V - min(change_V, self._fall_V) * share
         high = self.lowest_sent_V + min(change_V, self._rise_V) * share
         if voltage_V > high:
@@ -110,13 +120,13 @@ class Limiter:
         """Nearest voltage inside the range [V]; slew and acceleration are ignored."""
         return min(max(planned_V, self._low_V), self._high_V)
 
-    def _accelerated(self, planned_V: float) -> float:
+    def _accelerated(self, planned_V: float, acceleration: float) -> float:
         """Voltage [V] whose change can still stop at `planned_V`, and differs by one acceleration from the last change.
 
         Stopping from a change d with the acceleration A per tick covers d(d + A) / 2A. The largest d that stops within
         a gap g follows from it.
         """
-        acceleration, last = self._acceleration_V, self._last_change_V
+        last = self._last_change_V
         gap = planned_V - self._applied_V
         braked = 0.5 * acceleration * (sqrt(1.0 + 8.0 * abs(gap) / acceleration) - 1.0)
         change = min(gap, braked) if gap >= 0.0 else max(gap, -braked)

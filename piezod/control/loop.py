@@ -342,6 +342,7 @@ class ControlLoop:
         if good and supervisor.driving:
             applied_V = self.limiter.applied_V
             expected_N = self._expected_N(planned_V, reading.force_N)
+            supervisor.force.count_braking(reading.force_N, applied_V, self.limiter.braking_V)
             supervisor.check_reading(reading.force_N, reading.status, now_ns, reading.temperature_C)
             supervisor.check_response(reading, applied_V, expected_N, now_ns)
             if not planner.sign_is_right(reading.force_N):

@@ -43,6 +43,8 @@ class Supervisor:
 
     Attributes
     ----------
+    force
+        Interlock of the force.
     amplifier_tripped
         True when the amplifier has reported a fault since the last arming: its output may be off.
     readings_stale
@@ -60,14 +62,14 @@ class Supervisor:
         self.readings_stale = self.amplifier_tripped = False
         self.state = State.DISARMED
         self.cause = Cause.NONE
-        self._force = ForceInterlock(limits)
+        self.force = ForceInterlock(limits)
         self._stuck = StuckInterlock(limits)
         self._readback = ReadbackInterlock(limits)
         self._tracking = TrackingInterlock(limits)
         self._device = DeviceInterlock(limits)
         self._temperature = TemperatureInterlock(limits)
         self._missed, self._failed = LeakyCount(), LeakyCount()
-        self._cleared = self._force, self._stuck, self._readback, self._tracking, self._device, self._temperature
+        self._cleared = self.force, self._stuck, self._readback, self._tracking, self._device, self._temperature
         self._heat = HeatInterlock(limits, dt_s)
         self._dt_s = dt_s
         self.set_limits(limits)
@@ -77,7 +79,7 @@ class Supervisor:
         self._limits = limits
         self._stale_ns = round(limits.stale_after_ms * 1e6)
         self._comm_loss_ns = round(limits.comm_loss_ms * 1e6)
-        full_ramp_s = (limits.voltage_max_V - limits.voltage_min_V) / limits.ramp_down_V_per_s
+        full_ramp_s = (limits.voltage_max_V - limits.voltage_min_V) / limits.ramp_down_V_per_s + 2.0 * limits.braking_s
         self._give_up_ns = self._comm_loss_ns + round(full_ramp_s * 1e9)
         self._arming_timeout_ns = round(limits.arming_timeout_s * 1e9)
         self._dangers = DANGERS | {Cause.COMM_LOSS} if limits.comm_loss_action == "zero" else DANGERS
@@ -99,7 +101,7 @@ class Supervisor:
             Counters of the ring log.
         """
         counts = {
-            CountedInterlock.FORCE: self._force.count,
+            CountedInterlock.FORCE: self.force.count,
             CountedInterlock.READBACK: self._readback.count,
             CountedInterlock.TRACKING: self._tracking.count,
             CountedInterlock.OUTPUT: self._device.count,
@@ -134,18 +136,13 @@ class Supervisor:
                 return Demand.DANGER
             if self._fault is not Cause.NONE:
                 return Demand.FAULT
-            return Demand.SUSPECT if self._force.suspect else Demand.DISARM
-        return Demand.SUSPECT if self._force.suspect else Demand.REFERENCE
-
-    @property
-    def force_suspect(self) -> bool:
-        """Whether the last force was outside a limit and the next one decides."""
-        return self._force.suspect
+            return Demand.SUSPECT if self.force.suspect else Demand.DISARM
+        return Demand.SUSPECT if self.force.suspect else Demand.REFERENCE
 
     @property
     def spikes(self) -> int:
         """Number of forces outside a limit that the next sample did not confirm."""
-        return self._force.spikes
+        return self.force.spikes
 
     def exchange_time_left_s(self, now_ns: int) -> float:
         """Longest duration of an exchange that begins now [s]; infinite when no voltage is written.
@@ -327,7 +324,7 @@ class Supervisor:
         temperature_C
             Temperature read [degC]; nan without a sensor.
         """
-        cause = self._force.check(force_N, now_ns)
+        cause = self.force.check(force_N, now_ns)
         self.amplifier_tripped = self.amplifier_tripped or bool(status & STATUS_FAULTS)
         self._watchdog_of_before = self._watchdog_of_before and bool(status & STATUS_WATCHDOG)
         if cause is not Cause.NONE:

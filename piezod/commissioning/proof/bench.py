@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.commissioning.proof.links import UNCHANGED, ChangedLink, Changes
+from piezod.commissioning.proof.record import ProofStep, word
 from piezod.config import BenchConfig
 from piezod.control import CAUSE_TEXT, Cause, ControlLoop, RateKeeper, RingReader, Segment, State, TableReference
 from piezod.control import check_ready as check_ready_to_arm
@@ -26,6 +27,10 @@ TRY_S = 1.0  # of the watchdog, beyond its time: a slow amplifier falls that lon
 POLLS = 5
 TICKS_TO_REACT = 2.5  # from a debounce's last sample to the command that it changes, two; half a tick is jitter
 LATE_TICKS = 0.1  # of a tick that is made to miss its deadline
+
+Rows = NDArray[np.bool_]
+Measured = tuple[float, float, str]
+"""Measured value, its limit, and their unit."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +120,23 @@ class Run:
         if not ramp.size or self.rows["state"][-1] not in (State.DISARMED, State.FAULT):
             return inf
         return float(self.rows["time_ns"][-1] - self.rows["time_ns"][ramp[0]]) / 1e6
+
+    def step(self, name: str, wrong: Rows, limit_ms: float, measured: Measured | None, *causes: Cause) -> ProofStep:
+        """Result of a step whose fault must be one of `causes`, in time.
+
+        Parameters
+        ----------
+        wrong
+            Whether a row must trip, shape (N,).
+        limit_ms
+            Longest time from the first of them to the fault [ms].
+        measured
+            None: the time and its limit [ms].
+        """
+        time_ms = self.time_to_fault_ms(wrong)
+        right = self.fault in causes and time_ms <= limit_ms
+        value, limit, unit = measured or (time_ms, limit_ms, "ms")
+        return ProofStep(name, word(right), value, limit, unit, time_ms, self.outcome(limit_ms))
 
     def outcome(self, limit_ms: float) -> str:
         """Text of the end, with the limit of its time [ms]."""
@@ -319,11 +341,11 @@ class ProofBench:
             loop.wait()
         if not self.level_reached():
             raise CheckFailedError(f"proof: {CAUSE_TEXT[loop.supervisor.cause]}")
-        found = self._watch_fall()
+        fall = self._watch_fall()
         while loop.supervisor.driving:  # the first tick after the pause finds what the device has done
             loop.run_tick()
             loop.wait()
-        return found
+        return fall
 
     def _watch_fall(self) -> tuple[float, float, float]:
         """Read until the output is at rest, or no longer than the watchdog and a slow fall need."""

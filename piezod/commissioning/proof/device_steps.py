@@ -20,9 +20,8 @@ def prove_stale(proof: ProofBench) -> ProofStep:
     changes = Changes(result=ExchangeResult.HEARTBEAT_STOOD)
     run = proof.hold_level(changes=changes, lasts_s=max(HOLD_S, 4e-3 * limits.stale_after_ms))
     limit_ms = limits.stale_after_ms + proof.reaction_ms(2)
-    time_ms = run.time_to_fault_ms(run.since_level & (run.rows["result"] == ExchangeResult.HEARTBEAT_STOOD))
-    right = run.fault in (Cause.BAD_READING, Cause.COMM_LOSS) and time_ms <= limit_ms
-    return ProofStep("stale", word(right), time_ms, limit_ms, "ms", time_ms, run.outcome(limit_ms))
+    wrong = run.since_level & (run.rows["result"] == ExchangeResult.HEARTBEAT_STOOD)
+    return run.step("stale", wrong, limit_ms, None, Cause.BAD_READING, Cause.COMM_LOSS)
 
 
 def prove_silence(proof: ProofBench) -> ProofStep:
@@ -30,9 +29,8 @@ def prove_silence(proof: ProofBench) -> ProofStep:
     limits = proof.bench.limits
     run = proof.hold_level(changes=Changes(silent=True), lasts_s=max(HOLD_S, 4e-3 * limits.comm_loss_ms))
     limit_ms = limits.comm_loss_ms + proof.reaction_ms(1)
-    time_ms = run.time_to_fault_ms(run.since_level & (run.rows["result"] == ExchangeResult.TIMEOUT))
-    right = run.fault is Cause.COMM_LOSS and time_ms <= limit_ms
-    return ProofStep("silence", word(right), time_ms, limit_ms, "ms", time_ms, run.outcome(limit_ms))
+    wrong = run.since_level & (run.rows["result"] == ExchangeResult.TIMEOUT)
+    return run.step("silence", wrong, limit_ms, None, Cause.COMM_LOSS)
 
 
 def prove_exchanges(proof: ProofBench) -> ProofStep:
@@ -43,9 +41,7 @@ def prove_exchanges(proof: ProofBench) -> ProofStep:
     run = proof.hold_level(tightened={"failed_exchanges": most}, changes=changes)
     failed = run.since_level & (run.rows["result"] == result)
     limit_ms = proof.reaction_ms(3 * most)  # a failure adds 3 to the count, a good exchange takes 1 away
-    time_ms = run.time_to_fault_ms(failed)
-    right = run.fault is Cause.BAD_EXCHANGES and time_ms <= limit_ms
-    return ProofStep("exchanges", word(right), float(failed.sum()), most, "failed", time_ms, run.outcome(limit_ms))
+    return run.step("exchanges", failed, limit_ms, (float(failed.sum()), most, "failed"), Cause.BAD_EXCHANGES)
 
 
 def prove_missed(proof: ProofBench) -> ProofStep:
@@ -61,9 +57,7 @@ def prove_missed(proof: ProofBench) -> ProofStep:
     run = proof.hold_level(tightened={"missed_ticks_in_a_row": most}, late=True)
     missed = run.since_level & run.skipped_ticks
     limit_ms = 2.0 * proof.reaction_ms(most)
-    time_ms = run.time_to_fault_ms(missed)
-    right = run.fault is Cause.MISSED_TICKS and time_ms <= limit_ms
-    return ProofStep("missed", word(right), float(missed.sum()), most, "ticks", time_ms, run.outcome(limit_ms))
+    return run.step("missed", missed, limit_ms, (float(missed.sum()), most, "ticks"), Cause.MISSED_TICKS)
 
 
 def prove_output(proof: ProofBench) -> ProofStep:
@@ -101,9 +95,7 @@ def _status_step(
         return skipped(name, "the bench reads no status")
     run = proof.hold_level(tightened=tightened, changes=Changes({"status": change}))
     limit_ms = after_ms + proof.reaction_ms(1)
-    time_ms = run.time_to_fault_ms(run.since_level)
-    right = run.fault is cause and time_ms <= limit_ms
-    return ProofStep(name, word(right), time_ms, limit_ms, "ms", time_ms, run.outcome(limit_ms))
+    return run.step(name, run.since_level, limit_ms, None, cause)
 
 
 def prove_watchdog(proof: ProofBench) -> ProofStep:

@@ -33,9 +33,8 @@ def prove_force(proof: ProofBench) -> ProofStep:
     trip_N = min(0.5 * (proof.rest_N + proof.level_N), proof.bench.limits.force_trip_N)
     run = proof.hold_level(tightened={"force_trip_N": trip_N})
     limit_ms = proof.reaction_ms(proof.bench.limits.force_debounce_samples)
-    time_ms = run.time_to_fault_ms(run.rows["force_N"] > trip_N)
-    right = run.fault is Cause.OVER_FORCE and time_ms <= limit_ms
-    return ProofStep("force", word(right), run.highest_N, trip_N, "N", time_ms, run.outcome(limit_ms))
+    wrong = run.rows["force_N"] > trip_N
+    return run.step("force", wrong, limit_ms, (run.highest_N, trip_N, "N"), Cause.OVER_FORCE)
 
 
 def prove_minimum(proof: ProofBench) -> ProofStep:
@@ -43,9 +42,8 @@ def prove_minimum(proof: ProofBench) -> ProofStep:
     least_N = max(0.5 * (proof.rest_N + proof.level_N), proof.bench.limits.force_min_N)
     run = proof.hold_level(tightened={"force_min_N": least_N})
     limit_ms = proof.reaction_ms(proof.bench.limits.force_debounce_samples)
-    time_ms = run.time_to_fault_ms(run.rows["force_N"] < least_N)
-    right = run.fault is Cause.UNDER_FORCE and time_ms <= limit_ms
-    return ProofStep("minimum", word(right), run.lowest_N, least_N, "N", time_ms, run.outcome(limit_ms))
+    wrong = run.rows["force_N"] < least_N
+    return run.step("minimum", wrong, limit_ms, (run.lowest_N, least_N, "N"), Cause.UNDER_FORCE)
 
 
 def prove_rate(proof: ProofBench) -> ProofStep:
@@ -60,10 +58,9 @@ def prove_rate(proof: ProofBench) -> ProofStep:
     changes = Changes({"force_N": shifted(jump_N)})
     run = proof.hold_level(tightened={"force_rate_trip_N_per_s": rate}, changes=changes)
     limit_ms = proof.reaction_ms(samples)
-    time_ms = run.time_to_fault_ms(run.since_level & (run.rows["force_N"] > proof.level_N + 0.5 * jump_N))
-    right = run.fault is Cause.FORCE_RATE and time_ms <= limit_ms
     measured = jump_N / proof.bench.dt_s
-    return ProofStep("rate", word(right), measured, rate, "N/s", time_ms, run.outcome(limit_ms))
+    wrong = run.since_level & (run.rows["force_N"] > proof.level_N + 0.5 * jump_N)
+    return run.step("rate", wrong, limit_ms, (measured, rate, "N/s"), Cause.FORCE_RATE)
 
 
 def prove_tracking(proof: ProofBench) -> ProofStep:
@@ -79,9 +76,8 @@ def prove_tracking(proof: ProofBench) -> ProofStep:
     run = proof.hold_level(tightened=tightened, expected_N=expected_N)
     limit_ms = trip_ms + proof.reaction_ms(1)
     error_N = expected_N - run.force_N
-    time_ms = run.time_to_fault_ms(run.reached & (run.rows["force_N"] < expected_N - trip_N))
-    right = run.fault is Cause.TRACKING and time_ms <= limit_ms
-    return ProofStep("tracking", word(right), error_N, trip_N, "N", time_ms, run.outcome(limit_ms))
+    wrong = run.reached & (run.rows["force_N"] < expected_N - trip_N)
+    return run.step("tracking", wrong, limit_ms, (error_N, trip_N, "N"), Cause.TRACKING)
 
 
 def prove_stuck(proof: ProofBench) -> ProofStep:
@@ -95,10 +91,9 @@ def prove_stuck(proof: ProofBench) -> ProofStep:
     run = proof.hold_level(tightened=tightened, changes=Changes({"force_N": frozen()}), falls=True)
     limit_ms = proof.reaction_ms(1)
     moved_V = level_V - run.rows["voltage_V"]
-    time_ms = run.time_to_fault_ms(run.since_level & (moved_V >= travel_V))
-    right = run.fault is Cause.SENSOR_STUCK and time_ms <= limit_ms
     at_trip_V = float(moved_V[np.argmax(run.tripped)]) if run.tripped.any() else float("nan")
-    return ProofStep("stuck", word(right), at_trip_V, travel_V, "V", time_ms, run.outcome(limit_ms))
+    wrong = run.since_level & (moved_V >= travel_V)
+    return run.step("stuck", wrong, limit_ms, (at_trip_V, travel_V, "V"), Cause.SENSOR_STUCK)
 
 
 def prove_readback(proof: ProofBench) -> ProofStep:
@@ -110,9 +105,8 @@ def prove_readback(proof: ProofBench) -> ProofStep:
     run = proof.hold_level(changes=Changes({"voltage_readback_V": shifted(shift_V)}))
     limit_ms = 2.0 * limits.readback_trip_ms + proof.reaction_ms(0)
     deviating = abs(run.rows["readback_V"] - run.rows["voltage_V"]) > limits.readback_trip_V
-    time_ms = run.time_to_fault_ms(run.since_level & deviating)
-    right = run.fault is Cause.READBACK and time_ms <= limit_ms
-    return ProofStep("readback", word(right), shift_V, limits.readback_trip_V, "V", time_ms, run.outcome(limit_ms))
+    wrong = run.since_level & deviating
+    return run.step("readback", wrong, limit_ms, (shift_V, limits.readback_trip_V, "V"), Cause.READBACK)
 
 
 def prove_heat(proof: ProofBench) -> ProofStep:
@@ -129,10 +123,9 @@ def prove_heat(proof: ProofBench) -> ProofStep:
     run = proof.hold_level(tightened={"dissipation_max_W": most_W}, cold=True)
     limit_ms = proof.reaction_ms(1)
     risen_V = run.rows["voltage_V"] - limits.voltage_safe_V
-    time_ms = run.time_to_fault_ms((risen_V > sqrt(most_W / per_V2)) | run.tripped)  # the sign check adds some before
-    right = run.fault is Cause.OVERHEATED and time_ms <= limit_ms
     reached_W = per_V2 * float(risen_V.max(initial=0.0)) ** 2
-    return ProofStep("heat", word(right), reached_W, most_W, "W", time_ms, run.outcome(limit_ms))
+    wrong = (risen_V > sqrt(most_W / per_V2)) | run.tripped  # the sign check adds some before
+    return run.step("heat", wrong, limit_ms, (reached_W, most_W, "W"), Cause.OVERHEATED)
 
 
 def prove_temperature(proof: ProofBench) -> ProofStep:
@@ -174,7 +167,5 @@ def _temperature_step(
     proof: ProofBench, name: str, run: Run, wrong: np.ndarray, limit_C: float, cause: Cause, samples: int
 ) -> ProofStep:
     limit_ms = proof.reaction_ms(samples)
-    time_ms = run.time_to_fault_ms(wrong)
     read_C = float(run.rows["temperature_C"][0]) if run.rows.size else float("nan")
-    right = run.fault is cause and time_ms <= limit_ms
-    return ProofStep(name, word(right), read_C, limit_C, "degC", time_ms, run.outcome(limit_ms))
+    return run.step(name, wrong, limit_ms, (read_C, limit_C, "degC"), cause)

@@ -90,15 +90,7 @@ def test_a_stop_takes_as_long_with_a_force_beyond_its_limits_as_without(ring_log
 
 @pytest.mark.parametrize("cause", [Cause.OVER_FORCE, Cause.FORCE_RATE, Cause.READBACK, Cause.COMM_LOSS, None])
 def test_the_output_rises_no_more_after_a_stop_or_a_fault(ring_log, cause):
-    link = FakeLink(lambda voltage_V: 1.0)
-    loop = make_loop(link, ring_log, acceleration_V_per_s2=2000.0)
-    loop.begin(Segment("long", TableReference(np.full(10**5, 280.0)), Halving()))
-    loop.supervisor.arm(0)
-    loop._planner._approach_V = 4.0
-    while link.written_V < 60.0:
-        loop.tick()
-        loop._clock.wait()
-    assert loop.limiter._last_change_V > 0.1
+    loop, link = rising_at_60_V(ring_log, lambda voltage_V: 1.0)
     if cause is None:
         loop.request_stop(fast=True)
     else:
@@ -106,6 +98,62 @@ def test_the_output_rises_no_more_after_a_stop_or_a_fault(ring_log, cause):
     tripped = len(link.voltages) - 1
     _ticks_to_rest(loop)
     assert np.diff(link.voltages[tripped:]).max() <= 0.0
+
+
+def rising_at_60_V(ring_log, plant, **changes):
+    """A loop whose output rises through 60 V by 0.3 V a tick and more."""
+    link = FakeLink(plant)
+    loop = make_loop(link, ring_log, acceleration_V_per_s2=2000.0, **changes)
+    loop.begin(Segment("long", TableReference(np.full(10**5, 280.0)), Halving()))
+    loop.supervisor.arm(0)
+    loop._planner._approach_V = 4.0
+    while link.written_V < 60.0:
+        loop.tick()
+        loop._clock.wait()
+    assert loop.limiter._last_change_V > 0.3
+    return loop, link
+
+
+@pytest.mark.parametrize("cause", [Cause.OVER_FORCE, Cause.FORCE_RATE, Cause.READBACK, Cause.COMM_LOSS, None])
+@pytest.mark.parametrize("deceleration_V_per_s2", [2000.0, 8000.0, 1e5])
+def test_a_stop_or_a_fault_turns_the_output_at_its_own_deceleration(ring_log, cause, deceleration_V_per_s2):
+    loop, link = rising_at_60_V(ring_log, lambda voltage_V: 1.0, deceleration_V_per_s2=deceleration_V_per_s2)
+    way_V, begin_V = loop.limiter.braking_V, link.written_V
+    if cause is None:
+        loop.request_stop(fast=True)
+    else:
+        loop.supervisor.trip(cause)
+    tripped = len(link.voltages) - 2
+    _ticks_to_rest(loop)
+    voltages_V = np.array(link.voltages[tripped:])
+    changes_V = np.diff(voltages_V, 2)[voltages_V[2:] > 1.0]  # the last change ends at the end of the range
+    assert np.abs(changes_V).max() <= deceleration_V_per_s2 * 1e-6 + 1e-9
+    assert voltages_V.max() - begin_V == pytest.approx(way_V, abs=deceleration_V_per_s2 * 1e-6)
+    assert voltages_V[-1] == 0.0
+
+
+@pytest.mark.parametrize("deceleration_V_per_s2", [4000.0, 8000.0, None])
+def test_a_force_trip_counts_the_way_that_the_output_still_rises(ring_log, deceleration_V_per_s2):
+    changes = {"deceleration_V_per_s2": deceleration_V_per_s2, "force_trip_N": 240.0, "force_debounce_samples": 1}
+    loop, link = rising_at_60_V(ring_log, lambda voltage_V: 3.0 * voltage_V, **changes)
+    while loop.supervisor.fault is Cause.NONE:
+        loop.tick()
+        loop._clock.wait()
+    trip_V = link.voltages[-1]
+    _ticks_to_rest(loop)
+    tick_N = 3.0 * 0.75
+    assert loop.supervisor.fault is Cause.OVER_FORCE
+    assert 240.0 - 2.0 * tick_N <= 3.0 * max(link.voltages) <= 240.0 + tick_N
+    assert (3.0 * trip_V < 230.0) is (deceleration_V_per_s2 is not None)
+
+
+def test_a_falling_output_counts_no_way_to_brake(ring_log):
+    loop, link = rising_at_60_V(ring_log, lambda voltage_V: 3.0 * voltage_V, deceleration_V_per_s2=2000.0)
+    loop.request_stop(fast=True)
+    while link.voltages[-1] >= link.voltages[-2]:
+        loop.tick()
+        loop._clock.wait()
+    assert loop.limiter.braking_V == 0.0
 
 
 def test_a_disarm_begins_within_the_acceleration_limit(ring_log):

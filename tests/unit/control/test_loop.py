@@ -324,7 +324,7 @@ def test_a_force_that_was_read_once_is_not_judged_again_while_no_reading_comes(r
     assert loop.supervisor.state is State.RUNNING
     link.plant = lambda _voltage_V: 900.0
     run(loop, 1)
-    assert loop.supervisor.force_suspect
+    assert loop.supervisor.force.suspect
     link.plant = lambda voltage_V: 2.0 * voltage_V
     last = link.exchanges
     link.fails = lambda number: number <= last + 2
