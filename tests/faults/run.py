@@ -201,7 +201,8 @@ def _once(fault: Fault, pool) -> Result:
     except InjectionUnavailableError as reason:
         return Result(fault, None, [], str(reason))
     except Exception as error:  # noqa: BLE001  # any error of the injector fails this fault
-        pool.drop()  # the state of the benches is unknown
+        if pool is not None:
+            pool.drop()  # the state of the benches is unknown
         where = traceback.extract_tb(error.__traceback__)[-1]
         return Result(fault, None, [f"{type(error).__name__}: {str(error)[:300]} ({where.name}, line {where.lineno})"])
     return Result(fault, observed, observed.deviations(fault))
