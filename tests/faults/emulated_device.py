@@ -13,7 +13,7 @@ import struct
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -241,9 +241,7 @@ class FaultServer:
             "requested_V": self.device.requested_V,
             "commands": self.device.commands,
             "watchdog_ms": self.device.watchdog_ms,
-            "passed": self.proxy.passed,
             "accepted": getattr(self.proxy, "accepted", 0),
-            "done": [asdict(action) for action in self.proxy.done[:50]],
             "deeds": len(self.proxy.done),
             "behind_ms": 1e3 * self.behind_s,
         }

@@ -3,7 +3,7 @@
     daemon  <->  proxy  <->  device
 
 The proxy forwards whole frames. Rules change some of them; `act` acts on the connections at once. `done` lists every
-action with its time.
+action.
 """
 
 import asyncio
@@ -12,7 +12,6 @@ import os
 import random
 import socket
 import struct
-import time
 import tty
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -72,16 +71,6 @@ class Rule:
         return behind > 0 and (self.count == 0 or behind <= self.count)
 
 
-@dataclass(frozen=True)
-class ProxyAction:
-    """An executed action: time [ns, monotonic], name, direction and frame (hexadecimal)."""
-
-    time_ns: int
-    do: str
-    way: str
-    frame: str
-
-
 class _Wire:
     """The part of a proxy that does not depend on the transport: rules and their application to frames."""
 
@@ -89,8 +78,7 @@ class _Wire:
 
     def __init__(self) -> None:
         self.rules: list[Rule] = []
-        self.done: list[ProxyAction] = []
-        self.passed = 0
+        self.done: list[str] = []
         self._before = b""
         self._forged = 0
         self._splits = 0
@@ -100,10 +88,6 @@ class _Wire:
         """Replace the rules."""
         self.rules = rules
 
-    def note(self, do: str, way: str = "", frame: bytes = b"") -> None:
-        """Add an action to `done`."""
-        self.done.append(ProxyAction(time.monotonic_ns(), do, way, frame.hex()))
-
     async def carry(self, frame: bytes, way: Way, send: Send) -> None:
         """Forward a frame, or apply the first rule that takes it."""
         rule = self._rule(way)
@@ -112,10 +96,9 @@ class _Wire:
         else:
             before = b""
         if rule is None:
-            self.passed += 1
             send(frame, way)
             return
-        self.note(rule.do, way, frame)
+        self.done.append(rule.do)
         for part in self._changed(rule, frame, before):
             send(part, way)
             await asyncio.sleep(0)  # send each part in its own segment
@@ -177,7 +160,7 @@ class TcpProxy(_Wire):
 
     async def act(self, what: str) -> None:
         """`refuse`: stop listening and reset the connections. `restore`: listen again."""
-        self.note(what)
+        self.done.append(what)
         if self._server is not None:
             self._server.close()
             self._server = None
@@ -274,7 +257,7 @@ class PtyProxy(_Wire):
 
     async def act(self, what: str) -> None:
         """`unplug` removes the terminal, `plug` and `restore` add a new one behind the same link."""
-        self.note(what)
+        self.done.append(what)
         if what == "unplug":
             self._unplug()
         elif self._master < 0:

@@ -34,7 +34,7 @@ def through(rules, talk):
         proxy.schedule([Rule(**rule) for rule in rules])
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         try:
-            return await talk(proxy, reader, writer), [action.do for action in proxy.done]
+            return await talk(proxy, reader, writer), proxy.done
         finally:
             writer.transport.abort()
             await proxy.close()
