@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from piezod.cli.models import identify_files, validate_models
+from piezod.cli.output import print_next
 from piezod.cli.recordings import record_to_file
-from piezod.cli.root import ForceOption, JsonOption, app, print_next
+from piezod.cli.root import ForceOption, JsonOption, app
 from piezod.errors import UsageError
 
 
@@ -37,7 +38,7 @@ def commission(
         raise UsageError("give CONFIG or --emulated SCENARIO, exactly one of them")
     check_folder(output, [f"{name}.{suffix}" for name in EXCITATIONS for suffix in ("csv", "yaml")], force=force)
     output.mkdir(parents=True, exist_ok=True)
-    from piezod.report.identification import print_identification
+    from piezod.report.identification import identification_text
 
     with ExitStack() as stack:
         bench = config or stack.enter_context(virtual_time_bench(output, str(emulated)))
@@ -49,7 +50,7 @@ def commission(
                 recording = output / f"{name}.csv"
                 record_to_file(bench, name, recording, None, frequency, repeats, force=force)
                 result, _ = identify_files([recording], model, output / name, name=name, force=force)
-                print_identification(result.identification)
+                print(identification_text(result.identification))
                 if not result.useful:
                     raise typer.Exit(1)
             print("\nvalidation", flush=True)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezod.cli.root import app, print_next
+from piezod.cli.output import print_next
+from piezod.cli.root import app
 from piezod.runtime.files import written
 
 if TYPE_CHECKING:

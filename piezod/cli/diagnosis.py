@@ -1,11 +1,11 @@
 """`piezod diagnose` and `piezod effects`: physical effects that a model lacks."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from piezod.cli.output import print_result
 from piezod.cli.root import (
     ColumnsOption,
     DecimalOption,
@@ -15,7 +15,6 @@ from piezod.cli.root import (
     ScaleOption,
     app,
     check_readable,
-    print_next,
 )
 from piezod.errors import UsageError
 
@@ -103,16 +102,12 @@ def diagnose(
 
             write_replay(replay, diagnosis.attempts)
         from piezod.report.diagnosis.page import write_diagnosis_page
-        from piezod.report.diagnosis.terminal import next_after, print_findings
+        from piezod.report.diagnosis.terminal import findings_text, next_after
 
         step = next_after(diagnosis, recordings, model, output, from_bench)
         show("drawing the report", None)
         write_diagnosis_page(output / "report.html", diagnosis, step)
-    if as_json:
-        print(json.dumps(diagnosis.findings.as_dict() | {"next_step": step.as_dict()}, indent=2))
-    else:
-        print_findings(diagnosis, output)
-        print_next(step)
+    print_result(diagnosis.findings.as_dict(), findings_text(diagnosis, output), step, as_json=as_json)
 
 
 @app.command("testable", epilog="Example: piezod testable work.csv --model model.yaml")
@@ -166,14 +161,12 @@ def what_is_testable(
     step = after_testable(
         recordings, model, next_file, planned=planned is not None, open_pairs=bool(result.groups() or result.unseen)
     )
-    if as_json:
-        more = {} if next_file is None else {"next": None if planned is None else experiment_as_dict(planned)}
-        print(json.dumps(isolability_as_dict(result, unit) | more | {"next_step": step.as_dict()}, indent=2))
-    else:
-        print("\n".join([isolability_text(result, unit), *(f"note: {note}" for note in notes)]))
-        if next_file is not None:
-            print(experiment_text(planned, str(next_file)))
-        print_next(step)
+    content, lines = isolability_as_dict(result, unit), [isolability_text(result, unit)]
+    lines += [f"note: {note}" for note in notes]
+    if next_file is not None:
+        content["next"] = None if planned is None else experiment_as_dict(planned)
+        lines.append(experiment_text(planned, str(next_file)))
+    print_result(content, "\n".join(lines), step, as_json=as_json)
 
 
 @app.command(epilog="Example: piezod effects creep")
@@ -187,12 +180,7 @@ def effects(
     from piezod.report.next_step.of_studies import after_effects
 
     chosen = None if name is None else effect_named(name)
-    step = after_effects(name, next(iter(EFFECTS)))
-    if as_json:
-        shown = list(EFFECTS.values()) if chosen is None else [chosen]
-        described = [effect_as_dict(effect) for effect in shown]
-        content = {"schema": "piezod.effects/1", "effects": described, "next_step": step.as_dict()}
-        print(json.dumps(content, indent=2))
-    else:
-        print(effects_table() if chosen is None else effect_page(chosen))
-        print_next(step)
+    shown = list(EFFECTS.values()) if chosen is None else [chosen]
+    content = {"schema": "piezod.effects/1", "effects": [effect_as_dict(effect) for effect in shown]}
+    text = effects_table() if chosen is None else effect_page(chosen)
+    print_result(content, text, after_effects(name, next(iter(EFFECTS))), as_json=as_json)

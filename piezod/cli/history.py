@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import JsonOption, app, print_next
+from piezod.cli.output import print_next, print_result
+from piezod.cli.root import JsonOption, app
 from piezod.errors import UsageError
 
 FOLDER = "history"  # in an archive: default folder of the diagnoses and pages
@@ -115,8 +116,5 @@ def _archive(
         show("drawing the pages", None)
         step = next_after(fleet, archives, folder)
         write_fleet_pages(folder, fleet, step)
-    if as_json:
-        print(json.dumps(fleet.as_dict() | {"next_step": step.as_dict()}, indent=2))
-    else:
-        print(f"{fleet_text(fleet)}\npages: {folder / 'fleet.html'}")
-        print_next(step)
+    text = f"{fleet_text(fleet)}\npages: {folder / 'fleet.html'}"
+    print_result(fleet.as_dict(), text, step, as_json=as_json)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from piezod.cli.output import print_next, print_result
 from piezod.cli.root import (
     ColumnsOption,
     ConfigArgument,
@@ -17,7 +18,6 @@ from piezod.cli.root import (
     ScaleOption,
     app,
     check_readable,
-    print_next,
 )
 from piezod.errors import UsageError
 
@@ -87,13 +87,9 @@ def identify(
     }
     text = TextOptions.of(columns, rate_hz, decimal, scale)
     result, step = identify_files(recordings, model, report, (input_column, output_column), text, force=force, **more)
-    if as_json:
-        print(json.dumps(result.as_dict() | {"next_step": step.as_dict()}, indent=2))
-    else:
-        from piezod.report.identification import print_identification
+    from piezod.report.identification import identification_text
 
-        print_identification(result.identification)
-        print_next(step)
+    print_result(result.as_dict(), identification_text(result.identification), step, as_json=as_json)
     if not result.useful:
         raise typer.Exit(1)
 
@@ -207,18 +203,13 @@ def simulate(
         error=None if figures is None else figures.rms_tared,
         noise=None if plant.information is None else plant.information.noise,
     )
-    if as_json:
-        compared = None if figures is None else asdict(figures) | {"unit": plant.output.unit}
-        content = {"schema": "piezod.simulation/1", "start": simulation.start, "compared": compared}
-        source = loaded.source.model_dump(include={"path", "sha256", "samples", "read_as"})
-        more = {"recording": source, "notes": loaded.notes, "next_step": step.as_dict()}
-        print(json.dumps(content | more, indent=2))
-    else:
-        words = "" if figures is None else f"; {figures.words(plant.output.unit)}"
-        print(f"{output}: {loaded.source.samples} samples; {simulation.start}{words}")
-        for note in loaded.notes:
-            print(f"note: {note}")
-        print_next(step)
+    compared = None if figures is None else asdict(figures) | {"unit": plant.output.unit}
+    source = loaded.source.model_dump(include={"path", "sha256", "samples", "read_as"})
+    content = {"schema": "piezod.simulation/1", "start": simulation.start, "compared": compared}
+    words = "" if figures is None else f"; {figures.words(plant.output.unit)}"
+    lines = [f"{output}: {loaded.source.samples} samples; {simulation.start}{words}"]
+    lines += [f"note: {note}" for note in loaded.notes]
+    print_result(content | {"recording": source, "notes": loaded.notes}, "\n".join(lines), step, as_json=as_json)
 
 
 @app.command(epilog="Example: piezod compare work.csv simulated.csv --model model.yaml --report comparison.html")
@@ -268,11 +259,7 @@ def compare(
     step = after_compare(recordings[0], best.path, is_model=is_model, error=best.agreement.rms, noise=comparison.noise)
     if report is not None:
         write_comparison_page(report, comparison, step)
-    if as_json:
-        print(json.dumps(comparison_as_dict(comparison) | {"next_step": step.as_dict()}, indent=2))
-    else:
-        print(comparison_text(comparison))
-        print_next(step)
+    print_result(comparison_as_dict(comparison), comparison_text(comparison), step, as_json=as_json)
 
 
 @app.command(epilog="Example: piezod resid work.csv --model model.yaml --report residual.html")
@@ -304,12 +291,8 @@ def resid(
     step = after_resid(recording, model, white=not test.auto_outside, independent=not test.cross_outside)
     if report is not None:
         write_whiteness_page(report, test, loaded.recording, residual, unit, step)
-    if as_json:
-        content = whiteness_as_dict(test, loaded.recording, plant.name, unit)
-        print(json.dumps(content | {"next_step": step.as_dict()}, indent=2))
-    else:
-        print(whiteness_text(test, unit))
-        print_next(step)
+    content = whiteness_as_dict(test, loaded.recording, plant.name, unit)
+    print_result(content, whiteness_text(test, unit), step, as_json=as_json)
 
 
 @app.command(epilog="Example: piezod validate config/bench.yaml --model a.yaml --model b.yaml --report validation.html")

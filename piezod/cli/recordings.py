@@ -1,6 +1,5 @@
 """Commands for recordings: record, convert, report."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -8,6 +7,7 @@ from typing import Annotated
 import typer
 
 from piezod.cli import INTERRUPTED
+from piezod.cli.output import print_next, print_result
 from piezod.cli.root import (
     ColumnsOption,
     ConfigArgument,
@@ -17,7 +17,6 @@ from piezod.cli.root import (
     RateOption,
     ScaleOption,
     app,
-    print_next,
 )
 
 
@@ -140,17 +139,11 @@ def convert(
     names = ["time_s", *converted.channels]
     step = after_convert(output, has_command={"voltage_V", "force_N"} <= set(names))
     understood, repairs = converted.metadata.get("understood", ""), repair_notes(converted.metadata)
-    if as_json:
-        content = {"schema": "piezod.convert/1", "file": str(output), "samples": converted.time_s.size}
-        more = {"columns": names, "understood": understood, "notes": repairs, "next_step": step.as_dict()}
-        print(json.dumps(content | more, indent=2))
-    else:
-        print(f"{output}: {converted.time_s.size} samples of {', '.join(names)}")
-        if understood:
-            print(f"read as: {understood}")
-        for note in repairs:
-            print(f"note: {note}")
-        print_next(step)
+    content = {"schema": "piezod.convert/1", "file": str(output), "samples": converted.time_s.size}
+    content |= {"columns": names, "understood": understood, "notes": repairs}
+    lines = [f"{output}: {converted.time_s.size} samples of {', '.join(names)}"]
+    lines += [f"read as: {understood}"] if understood else []
+    print_result(content, "\n".join([*lines, *(f"note: {note}" for note in repairs)]), step, as_json=as_json)
 
 
 @app.command(epilog="Example: piezod report /var/lib/piezod/recordings/press-000007.sqlite -o run.html")
@@ -170,8 +163,5 @@ def report(
     figures = run_figures(run)
     step = next_after(run, figures)
     write_run_page(output, run, figures, step)
-    if as_json:
-        print(json.dumps(figures.as_dict() | {"next_step": step.as_dict()}, indent=2))
-        return
-    print(f"{figures.sentence}\npage: {output.resolve()}")
-    print_next(step)
+    text = f"{figures.sentence}\npage: {output.resolve()}"
+    print_result(figures.as_dict(), text, step, as_json=as_json)

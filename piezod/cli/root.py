@@ -26,7 +26,6 @@ except ModuleNotFoundError:  # Windows
 
 if TYPE_CHECKING:
     from piezod.recording import TextOptions
-    from piezod.report.next_step import NextStep
 
 Handler = Callable[[int, FrameType | None], object]
 
@@ -156,11 +155,6 @@ def _root(
     ] = False,
 ) -> None:
     pass
-
-
-def print_next(step: "NextStep") -> None:
-    """Print the next step, after an empty line."""
-    print(f"\n{step.text()}")
 
 
 def check_readable(path: Path, model: Path, text: "TextOptions") -> None:

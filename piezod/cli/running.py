@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.colour import print_coloured
+from piezod.cli.output import coloured, print_next, print_result
 from piezod.cli.root import (
     ConfigArgument,
     DaemonArgument,
@@ -16,7 +16,6 @@ from piezod.cli.root import (
     SocketOption,
     WaitOption,
     app,
-    print_next,
 )
 from piezod.errors import UsageError
 
@@ -76,16 +75,15 @@ def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, f
     model = model_path(plan.bench, config)
     if not arm or output is None:
         step = after_sequence(config, path, model, passed=None, fault="")
-        content = {"schema": "piezod.sequence_check/1", "name": plan.sequence.name, "steps": len(plan.ticks)}
-        if as_json:
-            more = {"duration_s": plan.duration_s, "next_step": step.as_dict()}
-            print(json.dumps(content | more, indent=2))
-            return 0
-        for check in plan.checks:
-            if check.level == "WARN":
-                print_coloured(f"{check.level:4}  {check.name}: {check.found} -> {check.remedy}")
-        print(f"{path}: {len(plan.ticks)} steps, about {plan.duration_s:.0f} s; not driven, --arm is not given")
-        print_next(step)
+        about = {"name": plan.sequence.name, "steps": len(plan.ticks), "duration_s": plan.duration_s}
+        content = {"schema": "piezod.sequence_check/1", **about}
+        lines = [
+            coloured(f"{check.level:4}  {check.name}: {check.found} -> {check.remedy}")
+            for check in plan.checks
+            if check.level == "WARN"
+        ]
+        lines.append(f"{path}: {len(plan.ticks)} steps, about {plan.duration_s:.0f} s; not driven, --arm is not given")
+        print_result(content, "\n".join(lines), step, as_json=as_json)
         return 0
     make_folder(output)  # before anything is driven
     with progress(f"{len(plan.ticks)} steps", plan.duration_s) as show:
@@ -100,12 +98,8 @@ def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, f
             write_recording(run.recording, output / f"step_{number}.csv")
     written(output / "junit.xml", junit_xml(verdict))
     write_sequence_page(output / "sequence.html", verdict, result.runs, step)
-    if as_json:
-        print(json.dumps(verdict.as_dict() | {"next_step": step.as_dict()}, indent=2))
-    else:
-        print_coloured(sequence_text(verdict))
-        print(f"{output / 'junit.xml'}, {output / 'sequence.html'}")
-        print_next(step)
+    text = f"{coloured(sequence_text(verdict))}\n{output / 'junit.xml'}, {output / 'sequence.html'}"
+    print_result(verdict.as_dict(), text, step, as_json=as_json)
     return 0 if verdict.passed else 1
 
 
@@ -117,12 +111,7 @@ def status(config: DaemonArgument = None, socket: SocketOption = None, as_json: 
     from piezod.report.next_step.of_benches import after_status
 
     answer = command_and_wait(find_socket(config, socket), "status", wait=False)
-    step = after_status(answer)
-    if as_json:
-        print(json.dumps(answer | {"next_step": step.as_dict()}, indent=2))
-        return
-    print_coloured(status_text(answer))
-    print_next(step)
+    print_result(answer, coloured(status_text(answer)), after_status(answer), as_json=as_json)
 
 
 @app.command(epilog="Example: piezod arm config/bench.yaml")
@@ -187,7 +176,7 @@ def _command_daemon(
     if as_json:
         print(json.dumps(answer, indent=2))
     else:
-        print_coloured(status_text(answer) if complete else answer["message"])
+        print(coloured(status_text(answer) if complete else answer["message"]))
     raise typer.Exit(1 if complete and answer["state"] not in wanted else 0)
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezod.cli.colour import print_coloured
-from piezod.cli.root import ConfigArgument, JsonOption, app, print_next
+from piezod.cli.output import coloured, print_next, print_result
+from piezod.cli.root import ConfigArgument, JsonOption, app
 from piezod.errors import UsageError
 
 if TYPE_CHECKING:
@@ -42,9 +42,8 @@ def check(
         print(json.dumps([result.__dict__ for result in checks], indent=2))
     else:
         for result in checks:
-            print_coloured(
-                f"{result.level:4}  {result.name}: {result.found}" + (f" -> {result.remedy}" if result.remedy else "")
-            )
+            remedy = f" -> {result.remedy}" if result.remedy else ""
+            print(coloured(f"{result.level:4}  {result.name}: {result.found}{remedy}"))
         print_next(_after_check(config, [result.name for result in checks if result.level == "FAIL"]))
     raise typer.Exit(1 if any(result.level == "FAIL" for result in checks) else 0)
 
@@ -66,13 +65,8 @@ def _prove(config: Path, output: Path | None, tester: str, as_json: bool) -> Non
 
     record, path = prove(config, output, tester)
     step = after_proof(config, passed=bool(record["passed"]))
-    if as_json:
-        print(json.dumps(record | {"next_step": step.as_dict()}, indent=2))
-    else:
-        for line in text_lines(record):
-            print(line)
-        print(f"{path}: {'passed' if record['passed'] else 'NOT PASSED'}")
-        print_next(step)
+    lines = [*text_lines(record), f"{path}: {'passed' if record['passed'] else 'NOT PASSED'}"]
+    print_result(record, "\n".join(lines), step, as_json=as_json)
     raise typer.Exit(0 if record["passed"] else 1)
 
 
@@ -111,11 +105,9 @@ def init(
     if discover:
         from piezod.report.next_step.of_benches import after_discover
 
-        found, step = discovered(host, port, unit_id), after_discover(host, port)
-        content = {"schema": "piezod.discover/1", "found": found, "next_step": step.as_dict()}
-        print(json.dumps(content, indent=2) if as_json else "\n".join(found))
-        if not as_json:
-            print_next(step)
+        found = discovered(host, port, unit_id)
+        content: dict[str, object] = {"schema": "piezod.discover/1", "found": found}
+        print_result(content, "\n".join(found), after_discover(host, port), as_json=as_json)
         return
     if output.exists() and not force:
         raise UsageError(f"{output} already exists; name another file with -o, or replace it with --force")
@@ -129,16 +121,10 @@ def init(
     write_bench(made, force=force)
     from piezod.report.next_step.of_benches import after_init
 
-    step = after_init(output)
-    if as_json:
-        content = {"schema": "piezod.init/1", "file": str(output), "profile": profile, "found": identity}
-        print(json.dumps(content | {"next_step": step.as_dict()}, indent=2))
-        return
-    for line in identity:
-        print(line)
-    print(f"{output}: bench '{made.bench.name}', from profile {profile}")
-    print("its limits are placeholders: set each from the data sheet of the stack, amplifier or load cell")
-    print_next(step)
+    content = {"schema": "piezod.init/1", "file": str(output), "profile": profile, "found": identity}
+    lines = [*identity, f"{output}: bench '{made.bench.name}', from profile {profile}"]
+    lines.append("its limits are placeholders: set each from the data sheet of the stack, amplifier or load cell")
+    print_result(content, "\n".join(lines), after_init(output), as_json=as_json)
 
 
 configuration = typer.Typer(
@@ -178,15 +164,13 @@ def config_check(config: ConfigArgument, as_json: JsonOption = False) -> None:
 
     bench = load_bench(config)
     model = model_path(bench, config)
-    step = after_config_check(config, model_exists=model.exists())
-    if as_json:
-        content = {"schema": "piezod.config_check/1", "file": str(config), "bench": bench.name, "model": str(model)}
-        print(json.dumps(content | {"model_there": model.exists(), "next_step": step.as_dict()}, indent=2))
-        return
-    print(f"{config}: bench '{bench.name}', {bench.rate_Hz:g} Hz over {bench.link.kind}")
-    if not model.exists():
-        print(f"its model {model} does not exist yet: make it with piezod record, then piezod identify")
-    print_next(step)
+    exists = model.exists()
+    content = {"schema": "piezod.config_check/1", "file": str(config), "bench": bench.name, "model": str(model)}
+    text = f"{config}: bench '{bench.name}', {bench.rate_Hz:g} Hz over {bench.link.kind}"
+    if not exists:
+        text += f"\nits model {model} does not exist yet: make it with piezod record, then piezod identify"
+    step = after_config_check(config, model_exists=exists)
+    print_result(content | {"model_there": exists}, text, step, as_json=as_json)
 
 
 @app.command("support-bundle", epilog="Example: piezod support-bundle config/bench.yaml -o support.zip")
@@ -228,16 +212,11 @@ def latency(
     ]
     held, limits = rate_held_Hz(measured), suggested_limits(measured)
     step = after_latency(limits_block(limits).splitlines(), held=held is not None)
-    if as_json:
-        content = {"rates": rows, "rate_held_Hz": held, "suggested": limits, "next_step": step.as_dict()}
-        print(json.dumps(content, indent=2))
-        return
-    print("  rate [Hz]   missed   lateness [us] p50      p99    p99.9      max")
-    for line in rows:
-        late = line["lateness_us"]
-        print(
-            f"{line['rate_Hz']:11g} {line['missed']:8d} {late['p50']:19.1f}"
-            + "".join(f"{late[k]:9.1f}" for k in ("p99", "p99.9", "max"))
-        )
-    print(f"holds {held:g} Hz" if held else "holds none of these rates: see the warnings, or end other programs")
-    print_next(step)
+    lines = ["  rate [Hz]   missed   lateness [us] p50      p99    p99.9      max"]
+    for row in rows:
+        late = row["lateness_us"]
+        others = "".join(f"{late[k]:9.1f}" for k in ("p99", "p99.9", "max"))
+        lines.append(f"{row['rate_Hz']:11g} {row['missed']:8d} {late['p50']:19.1f}{others}")
+    lines.append(f"holds {held:g} Hz" if held else "holds none of these rates: see the warnings, or end other programs")
+    content = {"rates": rows, "rate_held_Hz": held, "suggested": limits}
+    print_result(content, "\n".join(lines), step, as_json=as_json)

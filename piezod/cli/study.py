@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from piezod.cli.root import JsonOption, app, print_next
+from piezod.cli.output import print_next
+from piezod.cli.root import JsonOption, app
 from piezod.errors import UsageError
 
 blind = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The concealed study: make, run, score.")

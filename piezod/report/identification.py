@@ -70,8 +70,8 @@ def _dynamics_as_dict(model: Model) -> dict[str, Any] | None:
     return {"modes": modes, "lags_s": [memory_s for memory_s in law.memories_s if memory_s > 0.0]}
 
 
-def print_identification(identification: Identification) -> None:
-    """Print orders, errors, operators and notes.
+def identification_text(identification: Identification) -> str:
+    """Orders, errors, operators, notes and verdict.
 
     Parameters
     ----------
@@ -79,22 +79,24 @@ def print_identification(identification: Identification) -> None:
         Model, orders and errors of an identification.
     """
     model, chosen = identification.model, identification.chosen
-    unit = model.output.unit
+    lines = []
     if identification.candidates:
-        print(f"held-out rms error [{unit}] for n plays (rows) and m dead zones (columns):")
-        for line in _order_rows(identification.candidates, identification.before_pruning):
-            print("  " + "".join(cell.rjust(11) for cell in line))
+        lines.append(f"held-out rms error [{model.output.unit}] for n plays (rows) and m dead zones (columns):")
+        orders = _order_rows(identification.candidates, identification.before_pruning)
+        lines += ["  " + "".join(cell.rjust(11) for cell in row) for row in orders]
     assert chosen.fit is not None
-    print(f"{_orders(identification)}; condition number {chosen.fit.condition:.0f}")
-    print(f"{'':24}{'fit':>12}{'held out':>12}")
-    for name, fit, held_out in figure_rows(identification):
-        print(f"{name:24}{fit:>12}{held_out:>12}")
-    for title, rows in (("plays", play_rows(model.hysteresis)), ("dead zones", dead_zone_rows(model.hysteresis))):
-        significant = [str(row.index) for row in rows if row.matters]
-        print(f"{title}: {len(rows)}, of which {len(significant)} are significant: {', '.join(significant)}")
-    for note in identification.notes:
-        print(f"note: {note}")
-    print(identification.verdict)
+    lines.append(f"{_orders(identification)}; condition number {chosen.fit.condition:.0f}")
+    rows = [("", "fit", "held out"), *figure_rows(identification)]
+    lines += [f"{name:24}{fit:>12}{held_out:>12}" for name, fit, held_out in rows]
+    for title, operators in (
+        ("plays", play_rows(model.hysteresis)),
+        ("dead zones", dead_zone_rows(model.hysteresis)),
+    ):
+        significant = [str(operator.index) for operator in operators if operator.matters]
+        lines.append(
+            f"{title}: {len(operators)}, of which {len(significant)} are significant: {', '.join(significant)}"
+        )
+    return "\n".join([*lines, *(f"note: {note}" for note in identification.notes), identification.verdict])
 
 
 def next_after(identification: Identification, recordings: Sequence[Path], model: Path) -> NextStep:

@@ -1,6 +1,6 @@
 """Text of a diagnosis for a terminal, and the next step after it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from piezod.diagnose.findings import Finding
@@ -12,48 +12,51 @@ from piezod.report.next_step import NextStep
 from piezod.report.next_step.of_models import after_diagnose
 
 
-def print_findings(diagnosis: Diagnosis, folder: Path) -> None:
-    """Print verdict, effects with their rivals, notes, and the names of the written files."""
+def findings_text(diagnosis: Diagnosis, folder: Path) -> str:
+    """Verdict, effects with their rivals, notes, and the names of the written files."""
     findings = diagnosis.findings
     wording = Wording(diagnosis.model.input.unit, diagnosis.model.output.unit)
-    print(f"{findings.verdict.replace('_', ' ')}: {findings.words}")
+    lines = [f"{findings.verdict.replace('_', ' ')}: {findings.words}"]
     for finding in findings.effects:
-        _print_effect(finding, wording)
+        lines += _effect_lines(finding, wording)
     for old in findings.kept:
         values = ", ".join(
             f"{label_of(name, value.unit)} {value_words(value, name, old.name, wording)[0]}"
             for name, value in old.parameters.items()
         )
-        print(f"  {old.name} ({'kept' if old.seen else 'not seen: these recordings could not tell'}): {values}")
+        seen = "kept" if old.seen else "not seen: these recordings could not tell"
+        lines.append(f"  {old.name} ({seen}): {values}")
     if (law := findings.law) is not None:
         scope = SCOPES["already" if law.already else "since"]
-        print(f"  {law_words(law)} (p-value {law.p:.1g}, {scope})")
-        print(f"    held-out error {law.before:.4g} -> {law.after:.4g} {wording.output}; a description and no cause")
+        change = f"{law.before:.4g} -> {law.after:.4g} {wording.output}"
+        lines.append(f"  {law_words(law)} (p-value {law.p:.1g}, {scope})")
+        lines.append(f"    held-out error {change}; a description and no cause")
     for held_out in findings.held_out:
-        print(f"  {held_out.path}, held out: {held_out.before:.4g} -> {held_out.after:.4g} {findings.unit}")
+        change = f"{held_out.before:.4g} -> {held_out.after:.4g} {findings.unit}"
+        lines.append(f"  {held_out.path}, held out: {change}")
     if findings.not_testable:
-        print(f"not testable with these recordings: {', '.join(findings.not_testable)}")
-    for note in findings.notes:
-        print(f"note: {note}")
-    print(f"{folder / 'findings.json'}, {folder / 'model.yaml'}, {folder / 'report.html'}")
+        lines.append(f"not testable with these recordings: {', '.join(findings.not_testable)}")
+    lines += [f"note: {note}" for note in findings.notes]
+    files = (folder / name for name in ("findings.json", "model.yaml", "report.html"))
+    return "\n".join([*lines, ", ".join(map(str, files))])
 
 
-def _print_effect(finding: Finding, wording: Wording) -> None:
+def _effect_lines(finding: Finding, wording: Wording) -> Iterator[str]:
     confidence = f"confidence {confidence_words(finding.confidence)}"
     when = SCOPES[finding.scope] if finding.status == "new" else finding.status
-    print(f"  {finding.name} ({confidence}, {when}): {finding.title}")
+    yield f"  {finding.name} ({confidence}, {when}): {finding.title}"
     for name, value in finding.parameters.items():
         text, interval = value_words(value, name, finding.name, wording)
         line = f"    {label_of(name, value.unit)} {text}" + (f" ({interval})" if interval else "")
         was = finding.was.get(name)
-        print(line + ("" if was is None else f", was {value_words(was, name, finding.name, wording)[0]}"))
+        yield line + ("" if was is None else f", was {value_words(was, name, finding.name, wording)[0]}")
     for place in finding.where:
-        print(f"    seen at {place_words(place, wording)}")
-    print(f"    held-out error {finding.before:.4g} -> {finding.after:.4g} {wording.output}")
-    print(f"    {finding.handling}" + (f": {finding.why}" if finding.why else ""))
+        yield f"    seen at {place_words(place, wording)}"
+    yield f"    held-out error {finding.before:.4g} -> {finding.after:.4g} {wording.output}"
+    yield f"    {finding.handling}" + (f": {finding.why}" if finding.why else "")
     for rival in finding.rivals:
         difference = f"predictions differ by {rival.separation:.2g} times the noise"
-        print(f"    rival {rival.name}: {difference}; to distinguish them: {rival.separate_by}")
+        yield f"    rival {rival.name}: {difference}; to distinguish them: {rival.separate_by}"
 
 
 def next_after(

@@ -1,8 +1,18 @@
 """Warnings have a colour on a terminal only."""
 
+import sys
+
 import pytest
 
-from piezod.cli.colour import GREEN, ORANGE, PLAIN, RED, coloured, print_coloured
+from piezod.cli.output import GREEN, ORANGE, PLAIN, RED, coloured
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """A terminal whose user permits colour."""
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm")
 
 
 @pytest.mark.parametrize(
@@ -15,15 +25,14 @@ from piezod.cli.colour import GREEN, ORANGE, PLAIN, RED, coloured, print_coloure
         ("100 ticks at 5 Hz, 3 (2.9 %) missed, 0 failed", RED, "3 (2.9 %) missed"),
     ],
 )
-def test_a_warning_has_its_colour(text, colour, word):
+def test_a_warning_has_its_colour(text, colour, word, terminal):
     assert coloured(text) == text.replace(word, f"{colour}{word}{PLAIN}")
 
 
-def test_a_text_without_warnings_stays_as_it_is():
+def test_a_text_without_warnings_stays_as_it_is(terminal):
     text = "100 ticks at 5 Hz, 0 missed, 0 failed exchanges; up 3 s"
     assert coloured(text) == text
 
 
 def test_a_pipe_gets_plain_text(capsys):
-    print_coloured("press: FAULT")
-    assert capsys.readouterr().out == "press: FAULT\n"
+    assert coloured("press: FAULT") == "press: FAULT"
