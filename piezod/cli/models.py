@@ -240,7 +240,7 @@ def compare(
 
         models = compare_models(*recordings)
         if report is not None or not as_json:
-            from piezod.report.comparison.model_comparison import model_comparison_text, write_model_comparison_page
+            from piezod.report.history import model_comparison_text, write_model_comparison_page
 
             if report is not None:
                 write_model_comparison_page(report, models)
@@ -248,8 +248,12 @@ def compare(
         return
     if len(recordings) > 1 or model:  # else the missing comparison is reported first
         column_names(recordings[0])  # a wrong file is refused before the libraries are there
-    from piezod.report.comparison.output_comparison import compare_files
-    from piezod.report.comparison.output_page import comparison_as_dict, comparison_text, write_comparison_page
+    from piezod.report.output_comparison import (
+        compare_files,
+        comparison_as_dict,
+        comparison_text,
+        write_comparison_page,
+    )
 
     comparison = compare_files(recordings[0], recordings[1:], model or (), output_column, start_window)
     from piezod.report.next_step.of_models import after_compare
@@ -278,8 +282,13 @@ def resid(
     column_names(recording)  # a wrong file is refused before the libraries are there
     from piezod.estimation.recordings.intake import load_for_simulation
     from piezod.model import load_model
-    from piezod.report.comparison.whiteness import residual_of, whiteness_test
-    from piezod.report.comparison.whiteness_page import whiteness_as_dict, whiteness_text, write_whiteness_page
+    from piezod.report.whiteness import (
+        residual_of,
+        whiteness_as_dict,
+        whiteness_test,
+        whiteness_text,
+        write_whiteness_page,
+    )
 
     plant = load_model(model)
     loaded = load_for_simulation(recording, plant.input.channel, plant.output.channel)

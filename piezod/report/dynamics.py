@@ -1,6 +1,8 @@
-"""Spectrum of the residual of an identification, and response of the bench to a step."""
+"""Spectrum of the residual of an identification with its tones, and response of the bench to a step."""
 
 import html
+from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from bokeh.models import CustomJSTickFormatter
@@ -12,13 +14,63 @@ from piezod.excitation import IDENTIFICATION
 from piezod.identify.step_response import StepResponse, step_response
 from piezod.report.diagnosis.figures.drawing import DECIMAL_TICKS
 from piezod.report.diagnosis.residual.spectra import spectrum, windows_of
-from piezod.report.figures.layout import finish_figure
-from piezod.report.figures.tones import Tone, find_tones
+from piezod.report.figures.layout import finish_figure, labelled_figure
 from piezod.report.page import Part
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 
 MOST_MISSING = 0.05  # share of missing samples up to which a spectrum of the filled record is drawn
 HEIGHT = 280  # [px]
+FALSE_TONES = 0.01  # expected number of lines in noise alone, in the whole spectrum
+SURROUNDINGS, OWN = 12, 2  # bins on each side whose median is the background; bins on each side of a Hann line
+SKIRT = 0.05  # largest excess three bins from a line, as share of its own; a Hann line has 0.001, a hump most
+OVERLAP = 1.056  # variance of a mean of half-overlapping Hann windows over that of independent ones (Welch 1967)
+MOST_TONES = 5  # largest tones that a page names
+
+
+@dataclass(frozen=True)
+class Tone:
+    """A line: frequency [Hz], amplitude of the sine [unit], density at its peak, and whether the input has it."""
+
+    frequency_Hz: float
+    amplitude: float
+    density: float
+    in_input: bool
+
+
+def find_tones(frequency_Hz: Array, density: Array, input_density: Array, windows: int) -> list[Tone]:
+    """The largest tones, at most `MOST_TONES`, in descending order of amplitude.
+
+    A line stands above the median of its surroundings by more than noise does in one of a hundred spectra.
+
+    Parameters
+    ----------
+    frequency_Hz, density, input_density
+        Equally spaced frequencies, and densities of the residual and of the input [unit / sqrt(Hz)], shape (F,).
+    windows
+        Number of half-overlapping Hann windows over which the densities are averaged.
+    """
+    if density.size <= 2 * SURROUNDINGS + 1:
+        return []
+    power, step_Hz = density**2, frequency_Hz[1] - frequency_Hz[0]
+    background, of_input = _background(power), _background(input_density**2)
+    spread = OVERLAP / (9.0 * windows)  # 2 / (9 degrees of freedom), each window has two
+    quantile = NormalDist().inv_cdf(1.0 - FALSE_TONES / density.size)
+    above = (1.0 + quantile * np.sqrt(spread) / (1.0 - spread)) ** 3  # over the median; Wilson and Hilferty (1931)
+    tones = []
+    excess = power - background
+    for k in range(SURROUNDINGS, density.size - OWN - 1):
+        line = slice(k - OWN, k + OWN + 1)
+        if power[k] <= above * background[k] or power[line].max() > power[k]:
+            continue
+        if max(excess[k - OWN - 1], excess[k + OWN + 1]) > SKIRT * excess[k]:
+            continue
+        area = float(power[line].sum() - (2 * OWN + 1) * background[k]) * step_Hz
+        peak = k - OWN + int(np.argmax(input_density[line]))
+        shared = abs(peak - k) < OWN and input_density[peak] ** 2 > above * of_input[peak]
+        tones.append(
+            Tone(float(frequency_Hz[k]), float(np.sqrt(2.0 * max(area, 0.0))), float(density[k]), bool(shared))
+        )
+    return sorted(tones, key=lambda tone: -tone.amplitude)[:MOST_TONES]
 
 
 def dynamics(
@@ -77,13 +129,8 @@ def _floor(density: Array, tones: list[Tone], noise: Noise | None, dt_s: float, 
 def _spectrum_plot(density: tuple[Array, Array], tones: list[Tone], floor: float, unit: str) -> figure:
     """Density of the residual over frequency, its tones, and the noise floor."""
     frequency_Hz, values = density
-    plot = figure(
-        title="Spectrum of the residual",
-        x_axis_label="frequency [Hz]",
-        y_axis_label=f"{unit} / √Hz",
-        height=HEIGHT,
-        x_axis_type="log",
-        y_axis_type="log",
+    plot = labelled_figure(
+        "Spectrum of the residual", "frequency [Hz]", f"{unit} / √Hz", HEIGHT, x_axis_type="log", y_axis_type="log"
     )
     plot.xaxis.formatter = plot.yaxis.formatter = CustomJSTickFormatter(code=DECIMAL_TICKS)
     plot.line(frequency_Hz, values, color=ORANGE, legend_label="residual")
@@ -98,11 +145,8 @@ def _spectrum_plot(density: tuple[Array, Array], tones: list[Tone], floor: float
 
 def _step_plot(response: StepResponse) -> figure:
     """Share of a step over time, its band, and the static model."""
-    plot = figure(
-        title="Response to a step of the modelled output",
-        x_axis_label="time since the step [s]",
-        y_axis_label="share of the step",
-        height=HEIGHT,
+    plot = labelled_figure(
+        "Response to a step of the modelled output", "time since the step [s]", "share of the step", HEIGHT
     )
     lag_s, low, high = response.lag_s, response.response - response.band, response.response + response.band
     plot.varea(lag_s, low, high, color=ORANGE, fill_alpha=0.3, legend_label="95 % band")
@@ -137,3 +181,13 @@ def _step_words(response: StepResponse | None, dt_s: float) -> str:
     if response.rise_s is None:
         return f"The output follows a step of the model within one sample of {1e3 * dt_s:.3g} ms; {widest}."
     return f"90 % of the response is reached after {1e3 * response.rise_s:.3g} ms; {widest}."
+
+
+def _background(power: Array) -> Array:
+    """Median of the bins around each bin, without its own line, shape (F,)."""
+    half = SURROUNDINGS
+    padded = np.pad(power, half, mode="reflect")
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+    outside = np.abs(np.arange(-half, half + 1)) > OWN
+    background: Array = np.median(around[:, outside], axis=1)
+    return background

@@ -17,7 +17,7 @@ from piezod.report.figures.layout import apply_layout
 from piezod.report.history import value_range, write_history_page
 from piezod.report.next_step import NextStep
 from piezod.report.next_step.of_studies import UNFINISHED, after_fleet
-from piezod.report.page import Part, head_html, next_step_html, table_html, write_page
+from piezod.report.page import Part, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 from piezod.report.text_table import text_table
 
@@ -94,8 +94,6 @@ def write_fleet_pages(folder: Path, fleet: Fleet, step: NextStep | None = None) 
     )
     panels = [_panel(fleet, key) for key in fleet.keys]
     parts: list[Part] = [
-        head_html("Fleet", f"{fleet.verdict[0].upper()}{fleet.verdict[1:]}."),
-        next_step_html(step),
         f"<h2>What stands out</h2><ul>{outstanding}</ul>" if outstanding else "",
         "<h2>Benches by parameters</h2>",
         *(panels[k : k + 3] for k in range(0, len(panels), 3)),
@@ -103,7 +101,8 @@ def write_fleet_pages(folder: Path, fleet: Fleet, step: NextStep | None = None) 
         table_html(rows[0], rows[1:]),
         f"<h2>Each bench</h2><ul>{links}</ul>",
     ]
-    write_page(folder / PAGE, "Fleet", [part for part in parts if part])
+    head = "Fleet", f"{fleet.verdict[0].upper()}{fleet.verdict[1:]}."
+    write_page(folder / PAGE, "Fleet", head, parts, step)
 
 
 def recordings_html(bench: BenchState) -> str:

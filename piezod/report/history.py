@@ -1,4 +1,4 @@
-"""History of a bench's models as text, as a CSV table, and as a page with a panel for each parameter."""
+"""History of a bench's models as text, CSV table and page with a panel for each parameter; comparison of two models."""
 
 import csv
 import html
@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from piezod.diagnose.findings import Value
 from piezod.diagnose.verdict.words import PER_CENT, unit_words
+from piezod.history.changes import ParameterChange
+from piezod.history.comparison import ModelComparison
 from piezod.history.parameters import Key
 from piezod.history.timeline import Step, Timeline
 from piezod.history.trends import Estimate, Trend
 from piezod.history.words import interval, verdict_of, wording_of
 from piezod.report.figures.layout import MOST_TICKS, apply_layout
 from piezod.report.next_step import NextStep
-from piezod.report.page import Part, head_html, next_step_html, table_html, write_page
+from piezod.report.page import Part, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 from piezod.report.text_table import text_table
 from piezod.runtime.files import written
@@ -120,15 +122,13 @@ def write_history_page(
     legend += " Small dots: by each recording alone." if estimates else ""
     legend += " Orange line: slow change." if trends else ""
     parts: list[Part] = [
-        head_html("History of the models", f"{words[0].upper()}{words[1:]}."),
-        next_step_html(step),
         panels,
         f"<p class='dim'>{legend}</p>",
         table_html(rows[0], rows[1:]),
         recordings,
         f"<h2>Notes</h2><ul>{notes}</ul>" if notes else "",
     ]
-    write_page(path, "History", [part for part in parts if part])
+    write_page(path, "History", ("History of the models", f"{words[0].upper()}{words[1:]}."), parts, step)
 
 
 def _digits(value: Value) -> list[str]:
@@ -219,3 +219,46 @@ def _noise_of(step: Step) -> float | None:
 
 def _number(value: float | None) -> str:
     return NONE if value is None else f"{value:.3g}"
+
+
+def model_comparison_text(comparison: ModelComparison) -> str:
+    """Table of the parameters, the verdict, and notes."""
+    return "\n".join(
+        [
+            *text_table(model_comparison_rows(comparison)),
+            comparison.verdict,
+            *(f"note: {note}" for note in comparison.notes),
+        ]
+    )
+
+
+def model_comparison_rows(comparison: ModelComparison) -> list[list[str]]:
+    """Table with a row for each parameter: values in both models, z, and whether it differs."""
+    header = ["parameter", *(path.name for path in comparison.paths), "z", ""]
+    return [header, *(_row(parameter, comparison) for parameter in comparison.parameters)]
+
+
+def write_model_comparison_page(path: Path, comparison: ModelComparison) -> None:
+    """Write the page: verdict, table, and notes.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
+    words, rows = comparison.verdict, model_comparison_rows(comparison)
+    first, second = comparison.paths
+    note = "z: difference over its standard error, from the 95 % intervals."
+    notes = "".join(f"<li>{html.escape(text)}</li>" for text in (note, *comparison.notes))
+    head = f"Comparison of {first.name} and {second.name}", f"{words[0].upper()}{words[1:]}."
+    write_page(path, "Comparison", head, [table_html(rows[0], rows[1:]), f"<h2>Notes</h2><ul>{notes}</ul>"])
+
+
+def _row(parameter: ParameterChange, comparison: ModelComparison) -> list[str]:
+    values = zip((parameter.before, parameter.after), comparison.models, strict=True)
+    cells = []
+    for value, model in values:
+        middle, ends = (NONE, "") if value is None else interval(parameter.key, value, wording_of(model))
+        cells.append(f"{middle} ({ends})" if ends else middle)
+    z = NONE if parameter.z is None else f"{parameter.z:+.1f}"
+    return [parameter.heading, *cells, z, "differs" if parameter.changed else "agrees"]

@@ -6,8 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bokeh.plotting import figure
-
 from piezod.diagnose.verdict.words import unit_words
 from piezod.identify.identification import Identification
 from piezod.identify.order import Candidate
@@ -16,11 +14,11 @@ from piezod.identify.tables import OperatorRow, dead_zone_rows, play_rows
 from piezod.model import Model, without_inverse
 from piezod.recording import Recording
 from piezod.report.dynamics import dynamics
-from piezod.report.figures.layout import decimated, finish_figure
+from piezod.report.figures.layout import decimated, finish_figure, labelled_figure
 from piezod.report.figures.thinning import robust_range
 from piezod.report.next_step import NextStep
 from piezod.report.next_step.of_models import after_identify
-from piezod.report.page import Part, axis_label, head_html, next_step_html, table_html, write_page
+from piezod.report.page import Part, axis_label, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 
 START_WINDOW = 2000  # samples at the start that estimate the initial state of a recording
@@ -140,11 +138,8 @@ def write_identification_page(
     unit = unit_words(model.output.unit)
     words = identification.verdict
     verdict = f"{words[0].upper()}{words[1:]}. The model has {chosen.plays} plays and {chosen.zones} dead zones."
-    parts: list[Part] = [
-        head_html(f"Identification: {_quantity(model.input.channel)} to {_quantity(model.output.channel)}", verdict),
-        next_step_html(step),
-        table_html(["", "fit", "held out"], figure_rows(identification)),
-    ]
+    heading = f"Identification: {_quantity(model.input.channel)} to {_quantity(model.output.channel)}"
+    parts: list[Part] = [table_html(["", "fit", "held out"], figure_rows(identification))]
     if identification.notes:
         notes = "".join(f"<li>{html.escape(without_folders(note, recordings))}</li>" for note in identification.notes)
         parts.append(f"<h2>Notes</h2><ul>{notes}</ul>")
@@ -162,7 +157,7 @@ def write_identification_page(
         significant = sum(operator.matters for operator in operators)
         summary = f"{title}: {len(operators)}, of which {significant} are significant"
         parts.append(f"<details><summary>{summary}</summary>{_operator_table(operators, units)}</details>")
-    write_page(path, "Identification", parts)
+    write_page(path, "Identification", (heading, verdict), parts, step)
 
 
 def without_folders(text: str, recordings: Sequence[Recording]) -> str:
@@ -191,21 +186,19 @@ def _curves(identification: Identification, recording: Recording) -> list[Part]:
     modelled, start = simulate(model, recording, START_WINDOW)
     time_s = recording.time_s
     command, output = axis_label(model.input.channel), axis_label(model.output.channel)
-    over_time = figure(title="Output over time", x_axis_label="time [s]", y_axis_label=output, height=300)
+    over_time = labelled_figure("Output over time", "time [s]", output, 300)
     over_time.line(decimated(time_s), decimated(y), color=GREY, line_width=3, legend_label="measured")
     over_time.line(decimated(time_s), decimated(modelled), color=BLUE, legend_label="modelled")
-    inputs = figure(
-        title="Input over time", x_axis_label="time [s]", y_axis_label=command, height=200, x_range=over_time.x_range
-    )
+    inputs = labelled_figure("Input over time", "time [s]", command, 200, x_range=over_time.x_range)
     inputs.line(decimated(time_s), decimated(u), color=ORANGE, legend_label="input")
-    loop = figure(title="Hysteresis curve", x_axis_label=command, y_axis_label=output, height=300)
+    loop = labelled_figure("Hysteresis curve", command, output, 300)
     loop.line(decimated(u), decimated(y), color=GREY, line_width=3, legend_label="measured")
     loop.line(decimated(u), decimated(modelled), color=BLUE, legend_label="modelled")
-    residual = figure(
-        title="Measured less modelled",
-        x_axis_label="time [s]",
-        y_axis_label=f"residual [{unit_words(model.output.unit)}]",
-        height=200,
+    residual = labelled_figure(
+        "Measured less modelled",
+        "time [s]",
+        f"residual [{unit_words(model.output.unit)}]",
+        200,
         x_range=over_time.x_range,
         y_range=robust_range(y - modelled),
     )

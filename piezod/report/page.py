@@ -48,19 +48,6 @@ def table_html(header: Sequence[str], rows: Sequence[Sequence[str]], groups: Seq
     return f"{scrolls}<table class='numbers'><thead>{lines}</thead><tbody>{body}</tbody></table></div>"
 
 
-def head_html(title: str, verdict: str) -> str:
-    """Heading of a page, and the verdict below it.
-
-    Parameters
-    ----------
-    title
-        Title as plain text.
-    verdict
-        Verdict in a sentence, as plain text.
-    """
-    return f"<header><h1>{html.escape(title)}</h1><p class='lead'>{html.escape(verdict)}</p></header>"
-
-
 def fold_html(heading: str, inside: str) -> str:
     """A section that a narrow screen shows folded, and a wide one or paper open; empty without content.
 
@@ -101,15 +88,21 @@ def placeholder(name: str) -> str:
     return f"<!--{name}-->"
 
 
-def write_page(path: Path, title: str, parts: Sequence[Part]) -> None:
+def write_page(
+    path: Path, title: str, head: tuple[str, str], parts: Sequence[Part], step: NextStep | None = None
+) -> None:
     """Write a self-contained page atomically, and the data of its figures as CSV files next to it.
 
     Parameters
     ----------
     title
         Title of the browser window.
+    head
+        Heading and verdict at the top, as plain text.
     parts
-        HTML and rows of figures, from top to bottom; more than two figures stand in rows of three.
+        HTML and rows of figures below, from top to bottom; more than two figures stand in rows of three.
+    step
+        Next step after the command that wrote the page, below the verdict; None: the page has none.
 
     Raises
     ------
@@ -117,8 +110,8 @@ def write_page(path: Path, title: str, parts: Sequence[Part]) -> None:
         The file cannot be written.
     """
     figures: dict[str, Model] = {}
-    body = []
-    for number, part in enumerate(parts):
+    body = [_head_html(*head), next_step_html(step)]
+    for number, part in enumerate(part for part in parts if part):
         if isinstance(part, str):
             body.append(part)
             continue
@@ -161,3 +154,7 @@ def write_html(path: Path, title: str, body: str, figures: Mapping[str, Model]) 
     library = Resources(mode="inline", components=["bokeh"]).render_js()
     parts = {"style": PAGE_CSS, "library": library, "script": script, "own": PAGE_SCRIPT}
     written(path, PAGE_TEMPLATE.format(title=html.escape(title), body=body, **parts), parents=True)
+
+
+def _head_html(heading: str, verdict: str) -> str:
+    return f"<header><h1>{html.escape(heading)}</h1><p class='lead'>{html.escape(verdict)}</p></header>"

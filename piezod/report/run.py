@@ -15,11 +15,11 @@ from piezod.control import CAUSE_TEXT, Cause, State
 from piezod.errors import RecordingError
 from piezod.recording import Recording
 from piezod.report.figures.durations import EDGES_us, bars, histogram
-from piezod.report.figures.layout import finish_figure
+from piezod.report.figures.layout import finish_figure, labelled_figure
 from piezod.report.figures.thinning import broken_at_gaps, envelope, envelope_times, extremes
 from piezod.report.next_step import NextStep
 from piezod.report.next_step.of_benches import after_report
-from piezod.report.page import Part, axis_label, head_html, next_step_html, table_html, write_page
+from piezod.report.page import Part, axis_label, table_html, write_page
 from piezod.report.run_facts import drifted_at, fact_rows, share_text
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 
@@ -147,7 +147,7 @@ def write_run_page(path: Path, recording: Recording, figures: RunFigures, step: 
     ConfigurationError
         The file cannot be written.
     """
-    parts: list[Part] = [head_html(f"Run: {Path(recording.source).name}", figures.sentence), next_step_html(step)]
+    parts: list[Part] = []
     if facts := fact_rows(recording, _error(recording)):
         parts.append(table_html(["", "of this run"], facts).replace("'numbers'", "'words'"))
     if figures.transitions:
@@ -164,7 +164,7 @@ def write_run_page(path: Path, recording: Recording, figures: RunFigures, step: 
     parts.append(
         "<p class='dim'>Long curves are thinned: each segment is drawn by its smallest and its largest value.</p>"
     )
-    write_page(path, "Run", parts)
+    write_page(path, "Run", (f"Run: {Path(recording.source).name}", figures.sentence), parts, step)
 
 
 def next_after(recording: Recording, figures: RunFigures) -> NextStep:
@@ -233,7 +233,7 @@ def _over_time(recording: Recording) -> Iterable[figure]:
         ]
         if not drawn:
             continue
-        plot = figure(title=title, x_axis_label="time [s]", y_axis_label=axis_label(column), height=height)
+        plot = labelled_figure(title, "time [s]", axis_label(column), height)
         if first is not None:
             plot.x_range = first.x_range
         for name, values, colour, width in drawn:
@@ -248,14 +248,14 @@ def _loops(recording: Recording) -> Iterable[figure]:
     if voltage is None or force is None or not np.isfinite(force).any():
         return
     chosen = extremes(force, POINTS)
-    plot = figure(title="Force over voltage", x_axis_label="voltage [V]", y_axis_label="force [N]", height=320)
+    plot = labelled_figure("Force over voltage", "voltage [V]", "force [N]", 320)
     plot.line(voltage[chosen], force[chosen], color=BLUE, legend_label="measured")
     yield finish_figure(plot)
     error = _error(recording)
     if error is None or not np.isfinite(error).any():
         return
     reference, chosen = recording.channel("reference_N"), extremes(error, POINTS)
-    plot = figure(title="Error over reference", x_axis_label="reference [N]", y_axis_label="error [N]", height=320)
+    plot = labelled_figure("Error over reference", "reference [N]", "error [N]", 320)
     plot.line(reference[chosen], error[chosen], color=ORANGE, legend_label="error")
     yield finish_figure(plot)
 

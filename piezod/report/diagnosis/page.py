@@ -21,10 +21,9 @@ from piezod.report.diagnosis.figures.curves import error_bars, held_out_errors, 
 from piezod.report.diagnosis.figures.drivers import driver_figure, memory_figure
 from piezod.report.diagnosis.figures.law import law_figure
 from piezod.report.diagnosis.figures.spectrum import map_figure, power_scale, spectrum_figure
-from piezod.report.diagnosis.residual.memory import memory
 from piezod.report.diagnosis.residual.residuals import Residuals, recordings_of_places
 from piezod.report.diagnosis.residual.spectra import spectrum, time_frequency
-from piezod.report.diagnosis.residual.views import views
+from piezod.report.diagnosis.residual.views import memory, views
 from piezod.report.diagnosis.wording import headline, law_sentence
 from piezod.report.next_step import NextStep
 from piezod.report.page import fold_html, next_step_html, placeholder, write_html

@@ -24,6 +24,21 @@ def decimated(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return values[:: max(1, values.size // SHOWN_SAMPLES)]
 
 
+def labelled_figure(title: str, x: str, y: str, height: int, **options: Any) -> figure:  # noqa: ANN401
+    """Figure with labels of its axes.
+
+    Parameters
+    ----------
+    title, x, y
+        Title, and labels of the axes with their units.
+    height
+        Height [px].
+    options
+        Further Bokeh properties, such as ranges and kinds of axes.
+    """
+    return figure(title=title, x_axis_label=x, y_axis_label=y, height=height, **options)
+
+
 def apply_layout(plot: figure, **legend: Any) -> figure:  # noqa: ANN401
     """Set width, toolbar and legend of a figure in place, and return it.
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from piezod.config import BenchConfig
 from piezod.report.figures.durations import BAR_START, EDGES_us, bars, histogram
-from piezod.report.figures.layout import AXIS_WIDTH, apply_layout
+from piezod.report.figures.layout import AXIS_WIDTH, apply_layout, labelled_figure
 from piezod.report.live.curves import LOOP, OVER_TIME
 from piezod.report.live.feed import WINDOW_s
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
@@ -105,11 +105,11 @@ class Figures:
 
     def _loop(self, bench: BenchConfig) -> figure:
         limits = bench.limits
-        plot = figure(
-            title="Force over voltage",
-            x_axis_label="voltage [V]",
-            y_axis_label="force [N]",
-            height=330,
+        plot = labelled_figure(
+            "Force over voltage",
+            "voltage [V]",
+            "force [N]",
+            330,
             x_range=_with_margin(limits.voltage_min_V, limits.voltage_max_V),
             y_range=self.loop_range,
             tools="",

@@ -1,26 +1,30 @@
 """The demo's output: a line of live values, a table, the verdicts, and a page."""
 
 import contextlib
+import html
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from piezod.control import State
 from piezod.recording import Recording
-from piezod.report.page import table_html
+from piezod.report.figures.layout import decimated, finish_figure, labelled_figure
+from piezod.report.page import Part, table_html, write_page
+from piezod.report.style import BLUE, GREEN, GREY, ORANGE
 from piezod.report.text_table import text_table
 from piezod.report.tracking.hidden import HiddenVerdict, hidden_html
-from piezod.report.tracking.page import LABELS, write_tracking_page
-from piezod.report.tracking.tracking_errors import FigureKey, SessionOutcome, TrackingFigures, tracking_figures
+from piezod.report.tracking.tracking_errors import LABELS, FigureKey, SessionOutcome, TrackingFigures, tracking_figures
 
 MOST_HYSTERESIS = 0.25  # compensated over uncompensated max hysteresis at which the demo passes
 ONE_SECOND_ns = 1_000_000_000
 HEADER = ["reference", "compensation", "rms error [N]", "[%]", "max error [N]", "[%]", "max hysteresis [%]"]
+COLOURS = {"gain": ORANGE, "inverse": BLUE, "extended": GREEN}
 
 Rows = NDArray[np.void]
 
@@ -188,7 +192,14 @@ def write_demo_page(path: Path, verdict: DemoVerdict, recordings: dict[FigureKey
     table = table_html(HEADER, _rows(verdict)) + f"<p>{_timing_sentence(verdict)}</p>"
     if verdict.hidden is not None:
         table += hidden_html(verdict.hidden)
-    write_tracking_page(path, "Demo: the force follows a reference", verdict.sentence, shown, table)
+    title = "Demo: the force follows a reference"
+    parts: list[Part] = [table]
+    for reference in dict.fromkeys(key[0] for key in shown):
+        by_compensation = {key[1]: recording for key, recording in shown.items() if key[0] == reference}
+        parts.append(f"<h2>{html.escape(reference)}</h2>")
+        parts.append([_over_time(by_compensation), _force_over_reference(by_compensation)])
+        parts.append([_error_over_time(by_compensation)])
+    write_page(path, title, (title, verdict.sentence), parts)
 
 
 def _rows(verdict: DemoVerdict) -> list[list[str]]:
@@ -212,3 +223,34 @@ def _timing_sentence(verdict: DemoVerdict) -> str:
         f"{verdict.outcome.ticks} ticks, {verdict.outcome.missed} missed, {verdict.outcome.failed_exchanges} failed "
         f"exchanges; lateness p50 {late['p50']:.0f} us, p99 {late['p99']:.0f} us, p99.9 {late['p99.9']:.0f} us"
     )
+
+
+def _force_over_reference(recordings: Mapping[str, Recording]) -> figure:
+    plot = labelled_figure("Force over reference", "reference [N]", "force [N]", 320)
+    for name, recording in recordings.items():
+        plot.line(
+            decimated(recording.channel("reference_N")),
+            decimated(recording.channel("force_N")),
+            color=COLOURS[name],
+            legend_label=LABELS[name],
+        )
+    return finish_figure(plot)
+
+
+def _over_time(recordings: Mapping[str, Recording]) -> figure:
+    plot = labelled_figure("Force over time", "time [s]", "force [N]", 320)
+    first = next(iter(recordings.values()))
+    reference = decimated(first.channel("reference_N"))
+    plot.line(decimated(first.time_s), reference, color=GREY, line_width=3, legend_label="reference")
+    for name, recording in recordings.items():
+        force = decimated(recording.channel("force_N"))
+        plot.line(decimated(recording.time_s), force, color=COLOURS[name], legend_label=LABELS[name])
+    return finish_figure(plot)
+
+
+def _error_over_time(recordings: Mapping[str, Recording]) -> figure:
+    plot = labelled_figure("Error: force minus reference", "time [s]", "error [N]", 220)
+    for name, recording in recordings.items():
+        error = recording.channel("force_N") - recording.channel("reference_N")
+        plot.line(decimated(recording.time_s), decimated(error), color=COLOURS[name], legend_label=LABELS[name])
+    return finish_figure(plot)

@@ -7,8 +7,7 @@ from typing import Any
 from piezod.diagnose.verdict.words import confidence_words
 from piezod.recording import Recording
 from piezod.report.page import table_html
-from piezod.report.tracking.page import LABELS
-from piezod.report.tracking.tracking_errors import FigureKey, TrackingFigures, tracking_figures
+from piezod.report.tracking.tracking_errors import LABELS, FigureKey, TrackingFigures, tracking_figures
 
 MOST_ERROR = 0.5  # rms error with the extended over that with the static model at which the demo passes
 

@@ -14,9 +14,9 @@ from bokeh.plotting import figure
 from piezod.config.sequence import SequenceStep, TestSequence
 from piezod.identify.scores import max_hysteresis_percent
 from piezod.recording import Recording
-from piezod.report.figures.layout import decimated, finish_figure
+from piezod.report.figures.layout import decimated, finish_figure, labelled_figure
 from piezod.report.next_step import NextStep
-from piezod.report.page import Part, head_html, next_step_html, table_html, write_page
+from piezod.report.page import Part, table_html, write_page
 from piezod.report.style import BLUE, GREY, ORANGE
 from piezod.report.text_table import text_table
 from piezod.report.tracking.tracking_errors import SessionOutcome, tracking_figures
@@ -238,15 +238,11 @@ def write_sequence_page(path: Path, verdict: SequenceVerdict, runs: Sequence[Ste
     ConfigurationError
         The file cannot be written.
     """
-    parts: list[Part] = [
-        head_html(f"Test sequence: {verdict.sequence.name}", verdict.sentence),
-        next_step_html(step),
-        table_html(HEADER, _rows(verdict)).replace("'numbers'", "'words'"),
-    ]
+    parts: list[Part] = [table_html(HEADER, _rows(verdict)).replace("'numbers'", "'words'")]
     for number, (planned, run) in enumerate(zip(verdict.sequence.steps, runs, strict=True), 1):
         if run.recording.time_s.size:
             parts += [_heading(number, planned), _figures(run.recording)]
-    write_page(path, "Test sequence", parts)
+    write_page(path, "Test sequence", (f"Test sequence: {verdict.sequence.name}", verdict.sentence), parts, step)
 
 
 def _heading(number: int, step: SequenceStep) -> str:
@@ -256,16 +252,10 @@ def _heading(number: int, step: SequenceStep) -> str:
 
 def _figures(recording: Recording) -> list[figure]:
     time_s, reference, force = (decimated(values) for values in _curves(recording))
-    forces = figure(title="Force", x_axis_label="time [s]", y_axis_label="force [N]", height=240)
+    forces = labelled_figure("Force", "time [s]", "force [N]", 240)
     forces.line(time_s, reference, color=GREY, line_width=3, legend_label="reference")
     forces.line(time_s, force, color=BLUE, legend_label="force")
-    errors = figure(
-        title="Force minus reference",
-        x_axis_label="time [s]",
-        y_axis_label="error [N]",
-        height=240,
-        x_range=forces.x_range,
-    )
+    errors = labelled_figure("Force minus reference", "time [s]", "error [N]", 240, x_range=forces.x_range)
     errors.line(time_s, force - reference, color=ORANGE, legend_label="error")
     return [finish_figure(forces), finish_figure(errors)]
 

@@ -10,6 +10,7 @@ from piezod.identify.scores import largest, max_hysteresis_percent, rms
 from piezod.recording import Recording
 
 FigureKey = tuple[str, str]  # reference, compensation
+LABELS = {"gain": "plain gain", "inverse": "hysteresis inverse", "extended": "extended inverse"}
 
 
 class SessionOutcome(Protocol):

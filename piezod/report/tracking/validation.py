@@ -17,9 +17,9 @@ from piezod.arrays import Array
 from piezod.estimation.recordings.noise import noise_of
 from piezod.identify.scores import max_hysteresis_percent
 from piezod.recording import Recording
-from piezod.report.figures.layout import decimated, finish_figure
+from piezod.report.figures.layout import decimated, finish_figure, labelled_figure
 from piezod.report.next_step import NextStep
-from piezod.report.page import Part, head_html, next_step_html, table_html, write_page
+from piezod.report.page import Part, table_html, write_page
 from piezod.report.ranking import Score, best_of, gain_text, in_noises
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
 from piezod.report.text_table import column_widths, text_table
@@ -262,12 +262,7 @@ def write_validation_page(
     parts = ["max hysteresis [%]", "rms error [N] (%)", "max error [N] (%)"]
     groups = [("", 1), *((name, len(parts)) for name in verdict.compensations)]
     table = table_html(["reference", *parts * len(verdict.compensations)], _rows(verdict), groups)
-    shown: list[Part] = [
-        head_html(title, verdict.sentence),
-        next_step_html(step),
-        table,
-        f"<p class='dim'>{html.escape(_range_sentence(verdict))}</p>",
-    ]
+    shown: list[Part] = [table, f"<p class='dim'>{html.escape(_range_sentence(verdict))}</p>"]
     colours = {
         name: ORANGE if number == 0 else MODEL_COLOURS[(number - 1) % len(MODEL_COLOURS)]
         for number, name in enumerate(verdict.compensations)
@@ -284,7 +279,7 @@ def write_validation_page(
     ):
         if runs:
             shown += [f"<h2>{heading}</h2>", _small_multiples(runs, colours, label, drawn)]
-    write_page(path, title, shown)
+    write_page(path, title, (title, verdict.sentence), shown, step)
 
 
 def _legend(colours: Mapping[str, str]) -> str:
@@ -315,7 +310,7 @@ def _small_multiples(
     shared = Range1d(start=low - margin, end=high + margin)
     plots = []
     for reference, by_name in runs.items():
-        plot = figure(title=reference, x_axis_label="reference [N]", y_axis_label=label, height=230, y_range=shared)
+        plot = labelled_figure(reference, "reference [N]", label, 230, y_range=shared)
         for name, recording in by_name.items():
             plot.line(decimated(recording.channel("reference_N")), decimated(drawn(recording)), color=colours[name])
         plots.append(finish_figure(plot))

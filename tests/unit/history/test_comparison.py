@@ -9,7 +9,7 @@ from piezod.errors import UsageError
 from piezod.history.comparison import compare_models
 from piezod.model import load_model, save_model
 from piezod.model.parameters import EffectValues
-from piezod.report.comparison.model_comparison import model_comparison_text, write_model_comparison_page
+from piezod.report.history import model_comparison_text, write_model_comparison_page
 from tests.contract.test_commands import run
 
 SHIPPED = Path(__file__).parents[3] / "config" / "model.yaml"

@@ -53,14 +53,14 @@ def test_a_page_has_one_file_for_each_figure_and_leaves_other_files_alone(tmp_pa
     folder = tmp_path / "run.data"
     folder.mkdir()
     (folder / "mine.csv").write_text("x", encoding="utf-8")
-    write_page(page, "run", [[plot("one"), plot("two / three")], [plot("four")]])
-    write_page(page, "run", [[plot("one"), plot("two / three")]])
+    write_page(page, "run", ("run", "words"), [[plot("one"), plot("two / three")], [plot("four")]])
+    write_page(page, "run", ("run", "words"), [[plot("one"), plot("two / three")]])
     assert sorted(one.name for one in folder.iterdir()) == ["01-one.csv", "02-two-three.csv", "mine.csv"]
     assert "<code>run.data</code>" in page.read_text(encoding="utf-8")
 
 
 def test_a_page_without_figures_has_no_folder(tmp_path):
-    write_page(tmp_path / "words.html", "words", ["<p>words</p>"])
+    write_page(tmp_path / "words.html", "words", ("words", "alone"), ["<p>words</p>"])
     assert [one.name for one in tmp_path.iterdir()] == ["words.html"]
 
 

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from piezod.errors import UsageError
-from piezod.report.comparison.output_comparison import compare_files
-from piezod.report.comparison.output_page import comparison_as_dict, comparison_text, write_comparison_page
+from piezod.report.output_comparison import (
+    compare_files,
+    comparison_as_dict,
+    comparison_text,
+    write_comparison_page,
+)
 from tests.unit.report.driven_by_model import MODEL, write_measured_and_simulated
 
 

@@ -5,7 +5,7 @@ import re
 import pytest
 from bokeh.plotting import figure
 
-from piezod.report.page import axis_label, head_html, table_html, write_page
+from piezod.report.page import axis_label, table_html, write_page
 
 
 def plot(title):
@@ -15,8 +15,8 @@ def plot(title):
 
 
 def test_figures_of_one_part_are_side_by_side(tmp_path):
-    parts = [head_html("A & B", "so <well>"), [plot("one"), plot("two")], "<p>between</p>", [plot("three")]]
-    write_page(tmp_path / "page.html", "A & B", parts)
+    parts = [[plot("one"), plot("two")], "<p>between</p>", [plot("three")]]
+    write_page(tmp_path / "page.html", "page", ("A & B", "so <well>"), parts)
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert page.count("data-root-id=") == 3
     assert "<!--" not in page
@@ -28,7 +28,7 @@ def test_figures_of_one_part_are_side_by_side(tmp_path):
 
 
 def test_a_page_may_have_no_figures(tmp_path):
-    write_page(tmp_path / "page.html", "words", ["<p>words alone</p>"])
+    write_page(tmp_path / "page.html", "words", ("words", "alone"), ["<p>words alone</p>"])
     assert "<p>words alone</p>" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 

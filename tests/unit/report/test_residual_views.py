@@ -8,10 +8,8 @@ from bokeh.models import BoxAnnotation
 from piezod.diagnose.findings import Place
 from piezod.report.diagnosis.figures.curves import time_figures
 from piezod.report.diagnosis.figures.drivers import driver_figure
-from piezod.report.diagnosis.residual.drivers import since_reversal
-from piezod.report.diagnosis.residual.memory import memory
 from piezod.report.diagnosis.residual.residuals import Residuals, recordings_of_places
-from piezod.report.diagnosis.residual.views import views
+from piezod.report.diagnosis.residual.views import memory, since_reversal, views
 from tests.unit.report.example_diagnosis import DT_S, WHERE, series
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piezod.report.diagnosis.residual.spectra import spectrum, windows_of
-from piezod.report.figures.tones import find_tones
+from piezod.report.dynamics import find_tones
 
 DT_S, SAMPLES = 0.005, 40_000
 TIME_S = DT_S * np.arange(SAMPLES)

@@ -9,8 +9,7 @@ from scipy import signal
 from piezod.errors import UsageError
 from piezod.model import load_model
 from piezod.recording import Recording, read_recording
-from piezod.report.comparison.whiteness import residual_of, whiteness_test
-from piezod.report.comparison.whiteness_page import whiteness_as_dict, write_whiteness_page
+from piezod.report.whiteness import residual_of, whiteness_as_dict, whiteness_test, write_whiteness_page
 from tests.unit.report.driven_by_model import MODEL, white, write_measured_and_simulated
 
 

@@ -19,8 +19,7 @@ from piezod.report.diagnosis.figures.drawing import (
     places_on,
     shade,
 )
-from piezod.report.diagnosis.residual.memory import Memory
-from piezod.report.diagnosis.residual.views import BinnedResidual, View
+from piezod.report.diagnosis.residual.views import BinnedResidual, Memory, View
 
 
 def driver_figure(view: View, places: Sequence[Place], unit: str, extended: str) -> tuple[list[figure], Columns]:

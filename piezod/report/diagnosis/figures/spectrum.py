@@ -23,6 +23,7 @@ from piezod.report.diagnosis.figures.drawing import (
     shade,
 )
 from piezod.report.diagnosis.residual.spectra import PowerMap
+from piezod.report.figures.layout import labelled_figure
 from piezod.report.style import GREEN
 
 POWER_COLOURS = ("#ffffff", "#fdd9a0", "#e8801a", "#a33a00", "#2b0c00")  # darker with power, readable without colour
@@ -48,11 +49,11 @@ def spectrum_figure(
     frequency_Hz, before, after = spectra
     columns = {"frequency_Hz": frequency_Hz, "before": before, "after": after}
     source = column_source(columns)
-    plot = figure(
-        title="Spectrum of the residual",
-        x_axis_label="frequency [Hz]",
-        y_axis_label=f"{unit} / √Hz",
-        height=280,
+    plot = labelled_figure(
+        "Spectrum of the residual",
+        "frequency [Hz]",
+        f"{unit} / √Hz",
+        280,
         x_axis_type="log",
         y_axis_type="log",
         tools="pan,wheel_zoom,box_zoom,reset,save",
@@ -91,11 +92,11 @@ def map_figure(power: PowerMap, start_s: float, title: str, scale: LinearColorMa
     """
     low, high = np.log10(power.frequency_Hz[0]), np.log10(power.frequency_Hz[-1])
     ends_s = start_s + power.time_s[[0, -1]]
-    plot = figure(
-        title=title,
-        x_axis_label="time [s]",
-        y_axis_label="frequency [Hz]",
-        height=280,
+    plot = labelled_figure(
+        title,
+        "time [s]",
+        "frequency [Hz]",
+        280,
         x_range=Range1d(start=ends_s[0], end=ends_s[1]),
         y_range=Range1d(start=low, end=high),
         tools="box_zoom,reset,save",

@@ -1,6 +1,7 @@
-"""Views of the residuals: means and standard deviations in cells of a driver."""
+"""Views of the residuals: means and deviations in cells of a driver, and correlation with the past of the command."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,13 +9,114 @@ from numpy.typing import NDArray
 
 from piezod.arrays import Array, Mask
 from piezod.diagnose.localisation import coordinates
-from piezod.report.diagnosis.residual.drivers import Driver, drivers, time_driver
 from piezod.report.diagnosis.residual.residuals import Residuals
 
 CELLS = 40  # of a view, at most
 FEWEST = 8  # readings of a cell that is shown
 EXCLUDED = 0.002  # share of the driver's values beyond the first and beyond the last cell
 NARROWEST = 0.2  # width of a cell, relative to equal cells
+TIME_CONSTANTS = 14  # of the low-passes whose differences are the bands
+SHORTEST_SAMPLES, LONGEST_SHARE = 8.0, 0.3  # range of the time constants: samples; share of the longest recording
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A quantity that a residual may depend on.
+
+    Parameters
+    ----------
+    name
+        Name of its CSV file and column: `voltage_V` ...
+    axis
+        Axis of the places that belong to it; empty for none.
+    label
+        Label of the axis, with unit.
+    values
+        Computes the quantity at each sample of a recording, shape (N,).
+    directions
+        Whether rising and falling commands have curves of their own.
+    logarithmic
+        Whether the axis is logarithmic.
+    """
+
+    name: str
+    axis: str
+    label: str
+    values: Callable[[Residuals], Array]
+    directions: bool = True
+    logarithmic: bool = False
+
+
+def drivers(command: str, output: str) -> list[Driver]:
+    """All drivers except time."""
+    since = "since the last reversal"
+    return [
+        Driver("voltage_V", "voltage_V", f"command [{command}]", lambda recording: recording.series.command_V),
+        Driver("rate_V_per_s", "rate_V_per_s", f"rate of the command [{command}/s]", _rate, directions=False),
+        Driver("force_N", "force_N", f"output of the given model [{output}]", lambda recording: recording.given),
+        Driver("since_reversal_s", "", f"time {since} [s]", _time_since_reversal, logarithmic=True),
+        Driver("amplitude_V", "amplitude_V", f"change of the command {since} [{command}]", _change_since_reversal),
+        Driver("previous_level_V", "", f"command at the last reversal [{command}]", _command_at_reversal),
+        Driver("temperature_C", "temperature_C", "temperature [°C]", _temperature, directions=False),
+    ]
+
+
+def time_driver(name: str, label: str) -> Driver:
+    """Time of a single recording as a driver.
+
+    Parameters
+    ----------
+    name
+        Name of the CSV file and column of the driver.
+    label
+        Label of the axis, with unit.
+    """
+    return Driver(name, "time_s", label, lambda recording: recording.time_s, directions=False)
+
+
+def since_reversal(u: Array) -> tuple[NDArray[np.int64], Array]:
+    """Number of samples since the last reversal, and the command at that reversal, each shape (N,).
+
+    Parameters
+    ----------
+    u
+        Command, shape (N,).
+    """
+    direction, _ = coordinates.reversals(u)
+    reversal = np.zeros(u.size, np.int64)
+    for first, end, sign in _moves(direction):
+        start = reversal[first - 1] if first else 0
+        extreme = u[start : first + 1].argmin() if sign > 0.0 else u[start : first + 1].argmax()
+        reversal[first:end] = start + int(extreme)
+    return np.arange(u.size) - reversal, u[reversal]
+
+
+def _moves(direction: Array) -> Iterator[tuple[int, int, float]]:
+    """First sample, end and direction of each move in one direction."""
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(direction)) + 1, [direction.size]))
+    for first, end in itertools.pairwise(edges):
+        yield int(first), int(end), float(direction[first])
+
+
+def _rate(recording: Residuals) -> Array:
+    return coordinates.rate(recording.series.command_V, recording.series.dt_s)
+
+
+def _time_since_reversal(recording: Residuals) -> Array:
+    return np.maximum(since_reversal(recording.series.command_V)[0], 1) * recording.series.dt_s
+
+
+def _change_since_reversal(recording: Residuals) -> Array:
+    return coordinates.reversals(recording.series.command_V)[1]
+
+
+def _command_at_reversal(recording: Residuals) -> Array:
+    return since_reversal(recording.series.command_V)[1]
+
+
+def _temperature(recording: Residuals) -> Array:
+    assert recording.series.temperature_C is not None
+    return recording.series.temperature_C
 
 
 @dataclass(frozen=True)
@@ -145,3 +247,59 @@ def _binned(residual: Array, direction: Array, cell: NDArray[np.int64], shown: M
     middle = mean(None, residual)
     spread = np.sqrt(np.maximum(mean(None, residual**2) - middle**2, 0.0))
     return BinnedResidual(middle, spread, mean(direction > 0.0, residual), mean(direction < 0.0, residual))
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Correlation of the residuals with B bands of the command's past.
+
+    Parameters
+    ----------
+    age_s
+        Mean time constant of each band, shape (B,) [s].
+    before, after
+        Correlation for the given and the extended model, shape (B,) [1].
+    """
+
+    age_s: Array
+    before: Array
+    after: Array
+
+
+def memory(recordings: Sequence[Residuals]) -> Memory:
+    """Correlate residuals with the command's past, over all recordings together.
+
+    Parameters
+    ----------
+    recordings
+        Recordings with their residuals, at least one.
+    """
+    dt_s = min(recording.series.dt_s for recording in recordings)
+    longest_s = max(recording.series.duration_s for recording in recordings)
+    times_s = coordinates.times(dt_s, longest_s, TIME_CONSTANTS, SHORTEST_SAMPLES, LONGEST_SHARE)
+    bands_count = TIME_CONSTANTS - 1
+    products, powers, band_powers = np.zeros((2, bands_count)), np.zeros(2), np.zeros(bands_count)
+    for recording in recordings:
+        bands = _bands(recording, times_s)
+        counts = recording.series.counts
+        residuals = np.stack([_centred(recording.before, counts), _centred(recording.after, counts)])
+        products += residuals @ bands
+        band_powers += np.sum(bands**2, axis=0)
+        powers += np.sum(residuals**2, axis=1)
+    correlation = products / np.sqrt(np.maximum(np.outer(powers, band_powers), 1e-300))
+    return Memory(np.sqrt(times_s[:-1] * times_s[1:]), correlation[0], correlation[1])
+
+
+def _bands(recording: Residuals, times_s: Array) -> Array:
+    """Differences of neighbouring low-passes of the command, without mean, 0 at rejected readings, shape (N, B)."""
+    low_passes = coordinates.low_passed(recording.series.command_V, recording.series.dt_s, times_s)
+    bands = low_passes[:, :-1] - low_passes[:, 1:]
+    counts = recording.series.counts
+    bands -= bands[counts].mean(axis=0)
+    result: Array = np.where(counts[:, None], bands, 0.0)
+    return result
+
+
+def _centred(values: Array, counts: NDArray[np.bool_]) -> Array:
+    result: Array = np.where(counts, values - values[counts].mean(), 0.0)
+    return result

@@ -1,19 +1,33 @@
-"""Fit of simulated outputs to a measured output, as MATLAB's `compare` defines it."""
+"""Fit of simulated outputs to a measured output, as MATLAB's `compare` defines it: figures, text, JSON and page."""
 
+import html
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from bokeh.plotting import figure
 
 from piezod.arrays import Array
+from piezod.diagnose.verdict.words import unit_words
 from piezod.errors import UsageError
 from piezod.estimation.recordings.intake import load_for_simulation
 from piezod.estimation.recordings.noise import noise_of
 from piezod.identify.simulation import Agreement, simulate_recording
 from piezod.model import Model, load_model
 from piezod.recording import Recording, read_recording
-from piezod.report.ranking import Score
+from piezod.report.figures.layout import finish_figure, labelled_figure
+from piezod.report.figures.thinning import envelope, envelope_times, robust_range
+from piezod.report.next_step import NextStep
+from piezod.report.page import axis_label, table_html, write_page
+from piezod.report.ranking import Score, gain_text, in_noises
+from piezod.report.style import BLUE, GREEN, GREY, ORANGE, RED
+from piezod.report.text_table import text_table
+
+COLOURS = (BLUE, ORANGE, GREEN, RED)
+POINTS = 3000  # of a drawn curve
+HEADER = ("", "fit, NRMSE [%]", "rms error", "max error", "gain", "offset", "fit refitted [%]")
 
 
 @dataclass(frozen=True)
@@ -156,3 +170,111 @@ def _simulated(path: Path, label: str, model: Model, measured: Path, start_windo
         loaded.recording.time_s, simulation.recording.time_s, simulation.recording.channel(model.output.channel)
     )
     return SimulatedOutput(label, path, values, simulation.agreement)
+
+
+def comparison_as_dict(comparison: Comparison) -> dict[str, Any]:
+    """Return the comparison for JSON.
+
+    Parameters
+    ----------
+    comparison
+        Measured and simulated outputs with their agreement.
+    """
+    return {
+        "schema": "piezod.comparison/1",
+        "measured": comparison.measured.source,
+        "output": comparison.output,
+        "unit": _unit(comparison.output),
+        "noise": comparison.noise,
+        "compared": [{"name": output.name} | asdict(output.agreement) for output in comparison.simulated],
+    }
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Format the comparison as text: one line for each output, then the best fit in a sentence.
+
+    Parameters
+    ----------
+    comparison
+        Measured and simulated outputs with their agreement.
+    """
+    return "\n".join([*text_table([HEADER, *_rows(comparison)]), _verdict(comparison)])
+
+
+def write_comparison_page(path: Path, comparison: Comparison, step: NextStep | None = None) -> None:
+    """Write the page: best fit, table, outputs and errors over time.
+
+    Parameters
+    ----------
+    step
+        Next step of the command; None: the page has none.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
+    note = (
+        "Fit: 100 (1 - |y - yhat| / |y - mean(y)|), as in MATLAB. "
+        "Fit refitted: the same after the best gain and offset are applied to the simulated output."
+    )
+    outputs, errors = _outputs_and_errors(comparison)
+    head = f"Comparison with {Path(comparison.measured.source).name}", _verdict(comparison)
+    table = table_html(HEADER, _rows(comparison))
+    write_page(path, "Comparison", head, [table, [outputs], [errors], f"<p class='dim'>{html.escape(note)}</p>"], step)
+
+
+def _outputs_and_errors(comparison: Comparison) -> tuple[figure, figure]:
+    recording = comparison.measured
+    name = comparison.output
+    y = recording.channel(name)
+    shown_s = envelope_times(recording.time_s, POINTS)
+    outputs = labelled_figure("Measured and simulated", "time [s]", axis_label(name), 340)
+    outputs.line(shown_s, envelope(y, POINTS), color=GREY, line_width=3, legend_label="measured")
+    errors = labelled_figure(
+        "Measured less simulated",
+        "time [s]",
+        f"error [{unit_words(_unit(name))}]",
+        260,
+        x_range=outputs.x_range,
+        y_range=robust_range(*(y - output.values for output in comparison.simulated)),
+    )
+    for number, output in enumerate(comparison.simulated):
+        colour = COLOURS[number % len(COLOURS)]
+        outputs.line(shown_s, envelope(output.values, POINTS), color=colour, legend_label=output.name)
+        errors.line(shown_s, envelope(y - output.values, POINTS), color=colour, legend_label=output.name)
+    return finish_figure(outputs), finish_figure(errors)
+
+
+def _rows(comparison: Comparison) -> list[list[str]]:
+    unit = unit_words(_unit(comparison.output))
+    return [_cells(output, unit) for output in comparison.simulated]
+
+
+def _cells(output: SimulatedOutput, unit: str) -> list[str]:
+    agreement = output.agreement
+    return [
+        output.name,
+        f"{agreement.nrmse_percent:.2f}",
+        f"{agreement.rms:.4g} {unit}",
+        f"{agreement.max:.4g} {unit}",
+        f"{agreement.gain:.4f}",
+        f"{agreement.offset:+.4g} {unit}",
+        f"{agreement.nrmse_percent_refitted:.2f}",
+    ]
+
+
+def _verdict(comparison: Comparison) -> str:
+    best = comparison.best
+    noise, unit = comparison.noise, unit_words(_unit(comparison.output))
+    sentence = f"{best.name} fits with {best.agreement.nrmse_percent:.2f} %"
+    error = f"rms error {in_noises(best.agreement.rms, noise, unit)}" + (f" of {noise:.2g} {unit}" if noise else "")
+    if len(comparison.simulated) == 1:
+        return f"{sentence}; {error}"
+    second = comparison.ranked[1].name
+    gain = gain_text(best.name, second, comparison.scores, noise, unit)
+    return f"{sentence}, best of {len(comparison.simulated)}; {error}; {gain}"
+
+
+def _unit(column: str) -> str:
+    return column.rpartition("_")[2]

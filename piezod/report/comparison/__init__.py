@@ -1,1 +1,0 @@
-"""Model against measurement: simulated and measured outputs, and the whiteness test of a residual."""
