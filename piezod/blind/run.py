@@ -10,7 +10,7 @@ from piezod.blind.verdict import Verdict, VerdictFolder, as_verdict
 from piezod.diagnose.hypothesis.parallel import core_count
 from piezod.errors import PiezodError
 from piezod.tasks.cluster import run_on_cluster
-from piezod.tasks.local import run_locally
+from piezod.tasks.isolated import run_locally
 from piezod.tasks.task import Outcome, Task, failed_outcome
 
 OnVerdict = Callable[[Verdict | None, int, int], None]

@@ -32,7 +32,7 @@ def commission(
 
     from piezod.commissioning.emulator import virtual_time_bench
     from piezod.excitation import EXCITATIONS, IDENTIFICATION
-    from piezod.recording import check_folder
+    from piezod.recording.targets import check_folder
 
     if (config is None) == (emulated is None):
         raise UsageError("give CONFIG or --emulated SCENARIO, exactly one of them")
@@ -84,7 +84,7 @@ def investigate(
 
     from piezod.commissioning.emulator import virtual_time_bench
     from piezod.model import load_model
-    from piezod.recording import check_folder
+    from piezod.recording.targets import check_folder
 
     if (config is None) == (emulated is None) or (hidden and not emulated):
         raise UsageError("give CONFIG, or --emulated SCENARIO with its --hidden effects, exactly one of them")

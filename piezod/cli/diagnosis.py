@@ -64,7 +64,8 @@ def diagnose(
     as_json: JsonOption = False,
 ) -> None:
     """Find the effects that a model lacks: place, effect, confidence, and the extended model."""
-    from piezod.recording import TextOptions, check_folder, check_page
+    from piezod.recording import TextOptions
+    from piezod.recording.targets import check_folder, check_page
 
     recordings = list(recordings or ())
     if from_archive is not None:
@@ -127,7 +128,9 @@ def what_is_testable(
     as_json: JsonOption = False,
 ) -> None:
     """Tell which effects recordings could show, and which they cannot separate from each other."""
-    from piezod.recording import TextOptions, check_absent, check_recording_target, write_recording
+    from piezod.recording import TextOptions, write_recording
+    from piezod.recording.files import check_recording_target
+    from piezod.recording.targets import check_absent
 
     if next_file is not None:
         check_recording_target(next_file, recordings)

@@ -53,7 +53,7 @@ def history(
         return
     if jobs is not None or scheduler is not None:
         raise UsageError("--jobs and --scheduler are for archives: name a folder of benches with recordings")
-    from piezod.recording import check_page
+    from piezod.recording.targets import check_page
 
     check_page(output)
     check_page(table)
@@ -95,7 +95,7 @@ def _archive(
     from piezod.history.archive import find_benches
     from piezod.history.archive_run import diagnose_archive
     from piezod.history.fleet import Fleet
-    from piezod.recording import check_folder
+    from piezod.recording.targets import check_folder
     from piezod.report.fleet import fleet_text, next_after, write_fleet_pages
     from piezod.report.progress import steps
 

@@ -115,16 +115,10 @@ def identify_files(
     text
         Layout of text files as the user states it.
     """
-    from piezod.recording import (
-        TextOptions,
-        check_absent,
-        check_folder,
-        check_model_target,
-        check_output_path,
-        check_page,
-        choose_columns,
-        column_names,
-    )
+    from piezod.recording import TextOptions, column_names
+    from piezod.recording.conversion import choose_columns
+    from piezod.recording.files import check_output_path
+    from piezod.recording.targets import check_absent, check_folder, check_model_target, check_page
 
     check_output_path(model, recordings)
     check_model_target(model)
@@ -169,7 +163,9 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a model over the input of a recording, in free run; compare with its output, if it has one."""
-    from piezod.recording import TextOptions, check_absent, check_recording_target, write_recording
+    from piezod.recording import TextOptions, write_recording
+    from piezod.recording.files import check_recording_target
+    from piezod.recording.targets import check_absent
 
     text = TextOptions.of(columns, rate_hz, decimal, scale)
     check_recording_target(output, [recording])
@@ -232,7 +228,8 @@ def compare(
 
     Two model files are compared parameter by parameter.
     """
-    from piezod.recording import check_page, column_names
+    from piezod.recording import column_names
+    from piezod.recording.targets import check_page
 
     check_page(report)
     if len(recordings) == 2 and not model and all(path.suffix in (".yaml", ".yml") for path in recordings):
@@ -276,7 +273,8 @@ def resid(
     as_json: JsonOption = False,
 ) -> None:
     """Test whether a model's residual is white and independent of the input, with the bounds of MATLAB's resid."""
-    from piezod.recording import check_page, column_names
+    from piezod.recording import column_names
+    from piezod.recording.targets import check_page
 
     check_page(report)
     column_names(recording)  # a wrong file is refused before the libraries are there
@@ -331,7 +329,7 @@ def validate_models(
         Whether the bench ends with the command.
     """
     from piezod.config import load_bench
-    from piezod.recording import check_page
+    from piezod.recording.targets import check_page
 
     check_page(report)
     load_bench(config)  # a wrong file is refused before the libraries are there

@@ -84,7 +84,9 @@ def record_to_file(
     from piezod.commissioning.record import excitation_duration_s, record_excitation
     from piezod.errors import CheckFailedError
     from piezod.excitation import default_periods
-    from piezod.recording import check_absent, check_recording_target, write_recording
+    from piezod.recording import write_recording
+    from piezod.recording.files import check_recording_target
+    from piezod.recording.targets import check_absent
     from piezod.report.progress import progress
 
     check_recording_target(output)
@@ -128,9 +130,11 @@ def convert(
     as_json: JsonOption = False,
 ) -> None:
     """Rewrite a recording in another format."""
-    from piezod.recording import TextOptions, check_absent, check_recording_target
-    from piezod.recording import convert as convert_file
+    from piezod.recording import TextOptions
+    from piezod.recording.files import check_recording_target
+    from piezod.recording.files import convert as convert_file
     from piezod.recording.formats.repairs import repair_notes
+    from piezod.recording.targets import check_absent
     from piezod.report.next_step.of_benches import after_convert
 
     check_recording_target(output, [recording])
@@ -153,7 +157,9 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Make the page of a run from its recording, complete or interrupted."""
-    from piezod.recording import check_output_path, check_page, read_recording
+    from piezod.recording import read_recording
+    from piezod.recording.files import check_output_path
+    from piezod.recording.targets import check_page
 
     check_output_path(output, [recording])
     check_page(output)

@@ -60,7 +60,7 @@ def run(
 
 def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, force: bool, as_json: bool) -> int:
     """Check a sequence; with `arm` drive it and write its results. Return the exit code."""
-    from piezod.recording import check_folder
+    from piezod.recording.targets import check_folder
 
     if arm and output is None:
         raise UsageError("-o is missing: --sequence with --arm needs a folder for its results")

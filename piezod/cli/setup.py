@@ -137,7 +137,8 @@ app.add_typer(configuration, name="config")
 def config_schema() -> None:
     """Print the JSON schema of a bench file, for completion in an editor."""
     from piezod.commissioning.shipped_files import shipped
-    from piezod.config import bench_schema, comments_of
+    from piezod.config.file_text import comments_of
+    from piezod.config.keys import bench_schema
 
     comments = comments_of(shipped("bench.yaml").read_text(encoding="utf-8"))
     print(json.dumps(bench_schema(comments), indent=2))
@@ -146,7 +147,8 @@ def config_schema() -> None:
 @configuration.command("show", epilog="Example: piezod config show config/bench.yaml")
 def config_show(config: ConfigArgument, as_json: JsonOption = False) -> None:
     """Print every key with its value, its unit and whether it is a default, as valid YAML."""
-    from piezod.config import all_values, effective_text, entries, load_bench, read_document
+    from piezod.config import load_bench, read_document
+    from piezod.config.keys import all_values, effective_text, entries
 
     values, content = all_values(load_bench(config)), read_document(config).content
     if not as_json:

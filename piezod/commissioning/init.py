@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from piezod.commissioning.shipped_files import shipped
-from piezod.config import BenchConfig, Document, bench_of, read_document, replace_values
-from piezod.config.bench import SCHEMA
+from piezod.config import BenchConfig, read_document
+from piezod.config.bench import SCHEMA, bench_of
+from piezod.config.file_text import replace_values
 from piezod.config.link import PLAIN_PORT, ModbusRtuLink, ModbusTcpLink, RtuOverTcpLink, SerialLineLink
+from piezod.config.yaml_reader import Document
 from piezod.errors import PiezodError, UsageError
 from piezod.runtime.files import written
 from piezod.session.assembly import opened_link

@@ -11,8 +11,9 @@ from piezod.control.references.file_times import check_gaps, tick_positions
 from piezod.daemon.run import drive
 from piezod.errors import RecordingError, UsageError
 from piezod.excitation import EXCITATIONS, duration_s, excitation
-from piezod.recording import TIME, Recording, StrictTable, read_recording, read_strict_csv
+from piezod.recording import TIME, Recording, read_recording
 from piezod.recording.files import READ_ONLY, SPREADSHEETS
+from piezod.recording.formats.strict_csv import StrictTable, read_strict_csv
 from piezod.session.assembly import load_bench_without_model
 from piezod.session.history import OnRows
 from piezod.session.task import Outcome, SegmentSpec

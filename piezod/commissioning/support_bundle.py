@@ -24,12 +24,13 @@ from typing import Any
 import numpy as np
 
 from piezod import __version__
-from piezod.config import BenchConfig, all_values, effective_text, load_bench, model_path, read_document
+from piezod.config import BenchConfig, load_bench, model_path, read_document
+from piezod.config.keys import all_values, effective_text
 from piezod.control import CAUSE_TEXT, ROW_DTYPE, Cause, RingReader, State
 from piezod.daemon.client import Client
 from piezod.errors import PiezodError
 from piezod.model import file_sha256, load_model
-from piezod.recording import check_absent, check_page
+from piezod.recording.targets import check_absent, check_page
 from piezod.runtime.files import written
 
 REMOVED = "REMOVED"

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from math import isfinite, isnan
 
-from piezod.config import ArmingConfig, BenchConfig
+from piezod.config import BenchConfig
+from piezod.config.sections import ArmingConfig
 from piezod.errors import CheckFailedError
 from piezod.runtime import clock
 from piezod.transport import ExchangeResult, Link, verify_identity

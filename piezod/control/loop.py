@@ -8,7 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, isfinite, isnan, nan
 
-from piezod.config import LimitsConfig, SignCheckConfig
+from piezod.config import LimitsConfig
+from piezod.config.sections import SignCheckConfig
 from piezod.control.authority import AUTHORITY, Demand
 from piezod.control.device_guard import DeviceGuard
 from piezod.control.limits import Limiter

@@ -2,7 +2,7 @@
 
 from math import ceil
 
-from piezod.config import SignCheckConfig
+from piezod.config.sections import SignCheckConfig
 
 FEWEST_SAMPLES = 4  # of one window, at any tick rate
 

@@ -6,7 +6,8 @@
 - In any other state only `limits` change, each of them only to a tighter value.
 """
 
-from piezod.config import BenchConfig, loosened_limit
+from piezod.config import BenchConfig
+from piezod.config.limits import loosened_limit
 from piezod.control import State
 from piezod.errors import CheckFailedError, TemporaryError
 

@@ -19,7 +19,7 @@ from piezod.history.worker import MODEL, SCHEMA, TASK
 from piezod.model import file_sha256
 from piezod.runtime.files import written, written_folder
 from piezod.tasks.cluster import run_on_cluster
-from piezod.tasks.local import run_locally
+from piezod.tasks.isolated import run_locally
 from piezod.tasks.task import RUN, Outcome, Task, failed_outcome
 
 FINDINGS = "findings.json"

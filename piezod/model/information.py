@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from piezod.arrays import Array
-from piezod.config import Section
+from piezod.config.checked import Section
 
 Finite = Annotated[tuple[float, ...], Field(strict=False)]
 Interval = Annotated[tuple[float, float], Field(strict=False)]

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from piezod.config import check, read_document, shortened
+from piezod.config import read_document
+from piezod.config.checked import check, shortened
 from piezod.config.regular_file import open_regular
 from piezod.errors import ConfigurationError, ModelError
 from piezod.model.parameters import Model

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from piezod.config import Section
+from piezod.config.checked import Section
 from piezod.effects import EFFECTS
 from piezod.model.information import Information
 from piezod.model.unnamed_law import UnnamedLaw

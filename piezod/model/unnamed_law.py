@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from piezod.arrays import Array
-from piezod.config import Section
+from piezod.config.checked import Section
 
 Driver = Literal["command", "rate", "direction", "way", "stroke", "reading", "reading_rate"]
 NAME = "unnamed_law"  # how `compensation_without` names it

@@ -10,8 +10,9 @@ from piezod.config import BenchConfig
 from piezod.control.states import State
 from piezod.errors import ConfigurationError, TemporaryError, system_error_text
 from piezod.recorder.recording_files import recording_files
-from piezod.recording import HELD_ONE_SAMPLE, Recording
+from piezod.recording import Recording
 from piezod.recording.formats.sqlite import read_last_blocks
+from piezod.recording.hold import HELD_ONE_SAMPLE
 from piezod.recording.ticks import GOOD, pair_rows
 
 SHORTEST_S = 20.0  # of a stretch: loops of a tenth of a hertz close twice

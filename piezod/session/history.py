@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.control import ROW_DTYPE, State
-from piezod.recording import HELD_ONE_SAMPLE, Recording
+from piezod.recording import Recording
+from piezod.recording.hold import HELD_ONE_SAMPLE
 from piezod.recording.ticks import GOOD, pair_rows
 
 OnRows = Callable[[NDArray[np.void]], None]

@@ -1,14 +1,16 @@
-"""A task in a separate process with one thread; a crash affects this task only, and it is tried again."""
+"""Tasks in separate processes with one thread each; a crash affects one task only, which is tried again."""
 
 import os
 import subprocess
 import tempfile
 import threading
+from collections.abc import Generator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from pathlib import Path
 
 from piezod.runtime.interpreter import python
-from piezod.tasks.task import Outcome, Task, failed_outcome, read_outcome
+from piezod.tasks.task import Outcome, Task, TaskSource, failed_outcome, read_outcome
 
 ATTEMPTS = 3
 """Processes started for a task before it counts as failed; later crashes come from the task, not from the machine."""
@@ -86,6 +88,37 @@ class IsolatedProcesses:
 def run_isolated(task: Task) -> Outcome:
     """Run a task in a separate process; a process that dies gives a failed outcome and no exception."""
     return IsolatedProcesses().run(task)
+
+
+def run_locally(source: TaskSource, jobs: int) -> Generator[Outcome, None, None]:
+    """Run tasks and yield each outcome when it is complete.
+
+    Closing the generator early kills the running processes.
+
+    Parameters
+    ----------
+    jobs
+        Number of parallel processes, at least 1.
+    """
+    processes = IsolatedProcesses()
+    running: set[Future[Outcome]] = set()
+    with ThreadPoolExecutor(jobs) as threads:
+        try:
+            while True:
+                while len(running) < jobs and (task := source()) is not None:
+                    if isinstance(task, Outcome):
+                        yield task
+                    else:
+                        running.add(threads.submit(processes.run, task))
+                if not running:
+                    return
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                running -= done
+                for future in done:
+                    yield future.result()
+        finally:  # also after an early close of the generator
+            threads.shutdown(wait=False, cancel_futures=True)
+            processes.end()
 
 
 def _exit_problem(code: int, errors: Path) -> str:

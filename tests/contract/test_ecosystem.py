@@ -18,7 +18,8 @@ from piezod.daemon.metrics import BenchMetrics
 from piezod.daemon.service import COMMANDS
 from piezod.daemon.statistics import TickStatistics
 from piezod.estimation.recordings.intake import load_recordings
-from piezod.recording import Recording, convert, read_recording, write_recording
+from piezod.recording import Recording, read_recording, write_recording
+from piezod.recording.files import convert
 
 CONFIG = Path(__file__).parents[2] / "config"
 WORDS = {"by", "le", "state", "cause", "result", "bench", "sum", "rate", "max", "label_values", "histogram_quantile"}

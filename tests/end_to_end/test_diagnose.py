@@ -9,7 +9,8 @@ from firmware_sim.physics.bench import Bench
 from firmware_sim.physics.scenario import load_scenario
 from piezod.excitation import varying_triangles
 from piezod.model import load_model
-from piezod.recording import HELD_ONE_SAMPLE, Recording, write_csv
+from piezod.recording import Recording, write_csv
+from piezod.recording.hold import HELD_ONE_SAMPLE
 from tests.benches.emulator import piezod
 
 RATE_HZ = 500.0

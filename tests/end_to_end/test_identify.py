@@ -11,7 +11,8 @@ from piezod.commissioning.record import record_excitation
 from piezod.control import State
 from piezod.excitation import IDENTIFICATION, duration_s
 from piezod.model import load_model
-from piezod.recording import Recording, convert, read_csv, read_recording, write_csv
+from piezod.recording import Recording, read_csv, read_recording, write_csv
+from piezod.recording.files import convert
 from tests.benches.emulator import ROOT, bench_file, emulator, piezod
 
 

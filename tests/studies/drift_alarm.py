@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezod.config import DriftConfig
+from piezod.config.sections import DriftConfig
 from piezod.daemon.drift.blocks import Block
 from piezod.daemon.drift.law_test import BlockResult, LawTest
 from piezod.daemon.drift.reference import BlockReference

@@ -11,7 +11,7 @@ from piezod.control.references.file_times import check_gaps, tick_positions
 from piezod.control.references.folding import folding_amplitude
 from piezod.control.references.table import MOST_TICKS, TableReference
 from piezod.errors import ConfigurationError, RecordingError
-from piezod.recording import StrictTable, read_strict_csv
+from piezod.recording.formats.strict_csv import StrictTable, read_strict_csv
 from piezod.recording.names import unit_of
 from piezod.recording.quantities import UNITS
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from piezod.arrays import Array
 from piezod.errors import ConfigurationError
-from piezod.recording import StrictTable
+from piezod.recording.formats.strict_csv import StrictTable
 
 GAP = 10.0  # Longest step between two rows [median steps]. A file with a longer one lacks rows, or has two rates
 EVEN_GAP = 1.5  # the same for a file whose other rows are evenly spaced: there a single row is missing

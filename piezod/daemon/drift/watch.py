@@ -24,7 +24,8 @@ from piezod.daemon.drift.reference import FIRST_STRETCH, BlockReference
 from piezod.daemon.expected_rows import ExpectedRows
 from piezod.daemon.newest_writer import NewestWriter
 from piezod.model import Model
-from piezod.recording import HELD_ONE_SAMPLE, Recording
+from piezod.recording import Recording
+from piezod.recording.hold import HELD_ONE_SAMPLE
 from piezod.recording.ticks import GOOD, pair_rows
 from piezod.runtime import clock
 from piezod.session.history import is_tracking

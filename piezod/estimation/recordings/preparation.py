@@ -28,7 +28,8 @@ from piezod.estimation.recordings.strays import without_strays
 from piezod.estimation.recordings.suitability import falls
 from piezod.estimation.recordings.unknown_past import unknown_past
 from piezod.model import Model
-from piezod.recording import Hold, Recording
+from piezod.recording import Recording
+from piezod.recording.hold import Hold
 from piezod.recording.stretches import stretches_of
 
 MOST_SAMPLES = 300_000

@@ -6,15 +6,15 @@ SQLite discards an incomplete transaction. A damaged block is skipped and counte
 """
 
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezod.recording.formats.access import replaced_file
 from piezod.recording.formats.sqlite_blocks import Block, unpack
-from piezod.recording.formats.sqlite_samples import as_samples, sample_names
 from piezod.recording.formats.sqlite_tables import About, append_block, connect, create_tables, read_about
 from piezod.recording.formats.stream import (
     UNCHECKED_VALUES,
@@ -27,9 +27,14 @@ from piezod.recording.formats.text_layout import TextOptions
 from piezod.recording.hold import HELD_ONE_SAMPLE
 from piezod.recording.names import TIME, name_columns
 from piezod.recording.recording import Recording
+from piezod.recording.ticks import GOOD, pair_rows
 
 WRITTEN_BLOCK_BYTES = 2**21  # size of the rows in a block that `write_sqlite` writes, before compression [bytes]
 SMALLEST_BLOCK = 16  # size that a block has at least in a file [bytes]
+COMMANDS = ("voltage_V", "reference_N", "planned_V")
+READINGS = ("force_N", "readback_V", "temperature_C")
+OTHERS = ("tick", "state", "cause", "result", "segment", "lateness_ns", "exchange_ns")
+WALL = "wall_s"  # time of day [s since 1970, UTC]
 
 
 def write_sqlite(recording: Recording, path: Path) -> None:
@@ -67,14 +72,14 @@ def open_sqlite(path: Path, _: TextOptions = TextOptions()) -> Iterator[Recordin
         about = read_about(connection, path)
         last = newest_block(connection)
         metadata = dict(about.metadata) | (HELD_ONE_SAMPLE.metadata if about.rows == "ticks" else {})
-        fields = sample_names(about.absent) if about.rows == "ticks" else tuple(about.layout.names or ())
+        fields = _sample_names(about.absent) if about.rows == "ticks" else tuple(about.layout.names or ())
         names = name_columns(path, [(name, "") for name in fields])
         stored = dict(zip(names, fields, strict=True))
 
         def chunks(wanted: Sequence[str], _: int) -> Iterator[Table]:
             reader = BlockReader(connection, path, about.layout, last)
             if about.rows == "ticks":
-                yield from as_samples(reader.blocks(), about.origin_ns, wanted)
+                yield from _as_samples(reader.blocks(), about.origin_ns, wanted)
             else:
                 for block in reader.blocks():
                     yield {name: np.ascontiguousarray(block.rows[stored[name]], np.float64) for name in wanted}
@@ -191,3 +196,45 @@ class BlockReader:
         except sqlite3.DatabaseError:
             return number + 1, 0, None
         return row
+
+
+def _sample_names(absent: Collection[str]) -> tuple[str, ...]:
+    """Columns of the recording.
+
+    Parameters
+    ----------
+    absent
+        Columns that the device lacks; they are skipped.
+    """
+    names = (TIME, "voltage_V", "force_N", "reference_N", "readback_V", "temperature_C", "planned_V", *OTHERS, WALL)
+    return tuple(name for name in names if name not in absent)
+
+
+def _as_samples(blocks: Iterable[Block], origin_ns: int, wanted: Collection[str]) -> Iterator[Table]:
+    """Samples, block by block.
+
+    Parameters
+    ----------
+    blocks
+        Blocks in the order of their rows.
+    origin_ns
+        Time of the row clock at which `time_s` is 0 [ns].
+    wanted
+        Names among `_sample_names`.
+    """
+    before = None
+    for block in blocks:
+        commands, readings = pair_rows(block.rows, before)
+        before = block.rows[-1:].copy() if block.rows.size else before
+        if commands.size:
+            table = _samples(commands, readings, block.wall_ns - block.clock_ns, origin_ns)
+            yield {name: table[name] for name in wanted}
+
+
+def _samples(commands: NDArray[np.void], readings: NDArray[np.void], to_wall_ns: int, origin_ns: int) -> Table:
+    table = {name: commands[name].astype(np.float64) for name in COMMANDS}
+    table |= {name: np.where(readings["result"] == GOOD, readings[name], np.nan) for name in READINGS}
+    table |= {name: readings[name].astype(np.float64) for name in OTHERS}
+    table[TIME] = (readings["time_ns"] - origin_ns) * 1e-9
+    table[WALL] = (readings["time_ns"] + to_wall_ns) * 1e-9
+    return table

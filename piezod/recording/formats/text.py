@@ -15,7 +15,6 @@ import numpy as np
 from piezod.arrays import Array
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import library_errors
-from piezod.recording.formats.clock_change import ClockChange
 from piezod.recording.formats.csv import own_layout
 from piezod.recording.formats.plain_rows import row_parser
 from piezod.recording.formats.repairs import COMMENT, CUT_LINE, EXTRA, HEADER, SUMMARY, ZEROS, Repairs, is_missing
@@ -23,6 +22,7 @@ from piezod.recording.formats.stream import MOST_VALUES, RecordingStream, Table,
 from piezod.recording.formats.text_cells import (
     COMMENTS,
     ZONE,
+    ClockChange,
     clock_s,
     is_clock,
     is_number,

@@ -6,18 +6,11 @@ import jsonschema
 import pytest
 import yaml
 
-from piezod.config import (
-    BenchConfig,
-    Document,
-    all_values,
-    bench_of,
-    bench_schema,
-    comments_of,
-    effective_text,
-    load_bench,
-    replace_values,
-)
-from piezod.config.units import unit_of
+from piezod.config import BenchConfig, load_bench
+from piezod.config.bench import bench_of
+from piezod.config.file_text import comments_of, replace_values
+from piezod.config.keys import all_values, bench_schema, effective_text, unit_of
+from piezod.config.yaml_reader import Document
 from piezod.errors import ConfigurationError
 
 CONFIG = Path(__file__).parents[3] / "config"

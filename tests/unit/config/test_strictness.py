@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from piezod.config import load_bench, loosened_limit
+from piezod.config import load_bench
+from piezod.config.limits import loosened_limit
 from piezod.errors import ConfigurationError
 
 BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"

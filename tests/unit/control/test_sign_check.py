@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezod.config import SignCheckConfig
+from piezod.config.sections import SignCheckConfig
 from piezod.control import Cause, ControlLoop, Segment, State, TableReference
 from tests.unit.control.fake_bench import FakeClock, FakeLink
 from tests.unit.control.loops import DT_S, Halving, rows_of

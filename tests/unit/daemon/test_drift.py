@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezod.config import DriftConfig, load_bench
+from piezod.config import load_bench
+from piezod.config.sections import DriftConfig
 from piezod.control import ROW_DTYPE, State
 from piezod.daemon.drift import DriftWatch
 from piezod.daemon.drift.reference import FIRST_STRETCH

@@ -11,7 +11,7 @@ from piezod.diagnose.hypothesis.fit import fit
 from piezod.diagnose.hypothesis.terms import Term
 from piezod.diagnose.selection.stated_hold import with_stated_hold
 from piezod.effects import EFFECTS
-from piezod.recording import HELD_ONE_SAMPLE, Hold
+from piezod.recording.hold import HELD_ONE_SAMPLE, Hold
 from tests.unit.diagnose.residuals import lagged, mixed_work, noise, series, time
 from tests.unit.diagnose.test_corners import many_plays
 

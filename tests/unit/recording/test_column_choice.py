@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from piezod.errors import RecordingError
-from piezod.recording import choose_columns
+from piezod.recording.conversion import choose_columns
 
 
 def chosen(*names, **given):

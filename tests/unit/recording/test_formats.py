@@ -7,17 +7,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from piezod.errors import ConfigurationError, RecordingError, UsageError
-from piezod.recording import (
-    Recording,
-    check_output_path,
-    check_recording_target,
-    column_names,
-    convert,
-    open_stream,
-    read_recording,
-    write_recording,
-)
-from piezod.recording.files import FORMATS
+from piezod.recording import Recording, column_names, open_stream, read_recording, write_recording
+from piezod.recording.files import FORMATS, check_output_path, check_recording_target, convert
 from tests.unit.recording.formats import PACKAGES, REAL, recordings, same, sample, suffixes
 
 quick = settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -12,7 +12,7 @@ import pytest
 
 from piezod.errors import RecordingError
 from piezod.recording import TextOptions, read_recording, write_recording
-from piezod.recording.formats.spreadsheet_export import run_child
+from piezod.recording.formats.spreadsheet import run_child
 from tests.benches.messy_files import recorded
 
 pytest.importorskip("python_calamine", reason="python-calamine is not installed")

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from piezod.errors import ConfigurationError, RecordingError, UsageError
-from piezod.recording import check_absent, check_folder, check_page, column_names, read_recording
+from piezod.recording import column_names, read_recording
+from piezod.recording.targets import check_absent, check_folder, check_page
 
 ROWS = "time_s,voltage_V,force_N\n" + "".join(f"{k / 100},{k},{k}\n" for k in range(40))
 

@@ -2,7 +2,7 @@
 
 import zlib
 
-from piezod.tasks.local import run_locally
+from piezod.tasks.isolated import run_locally
 from piezod.tasks.task import Task, failed_outcome
 
 MODULE = "tests.unit.tasks.echo"
