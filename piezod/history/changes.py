@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
+from typing import Any
 
 from piezod.diagnose.findings import Value
 from piezod.history.parameters import Key
@@ -33,6 +34,12 @@ class ParameterChange:
     after: Value | None
     z: float | None
     changed: bool
+
+    def as_dict(self, before: str, after: str) -> dict[str, Any]:
+        """The change for JSON, with the names of both values."""
+        values = {before: self.before, after: self.after}
+        shown = {name: None if value is None else value.as_dict() for name, value in values.items()}
+        return {**shown, "z": self.z, "changed": self.changed}
 
     @property
     def heading(self) -> str:

@@ -62,15 +62,7 @@ class ModelComparison:
             "least_significant_z": least_significant(
                 max(sum(parameter.z is not None for parameter in self.parameters), 1)
             ),
-            "parameters": {
-                str(parameter.key): {
-                    "first": None if parameter.before is None else parameter.before.as_dict(),
-                    "second": None if parameter.after is None else parameter.after.as_dict(),
-                    "z": parameter.z,
-                    "changed": parameter.changed,
-                }
-                for parameter in self.parameters
-            },
+            "parameters": {str(parameter.key): parameter.as_dict("first", "second") for parameter in self.parameters},
             "effects": {change.name: change.status for change in self.changes},
             "verdict": self.verdict,
             "notes": list(self.notes),

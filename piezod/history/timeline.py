@@ -137,12 +137,6 @@ def change_as_dict(change: EffectChange) -> dict[str, Any]:
         "status": change.status,
         "words": change.words,
         "parameters": {
-            parameter.key.parameter: {
-                "before": None if parameter.before is None else parameter.before.as_dict(),
-                "after": None if parameter.after is None else parameter.after.as_dict(),
-                "z": parameter.z,
-                "changed": parameter.changed,
-            }
-            for parameter in change.parameters
+            parameter.key.parameter: parameter.as_dict("before", "after") for parameter in change.parameters
         },
     }

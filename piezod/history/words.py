@@ -89,6 +89,12 @@ def interval(key: Key, value: Value, wording: Wording = VOLTS) -> tuple[str, str
     return f"{rounded(value.value, 4)} {unit}", f"{rounded(value.low, 4)} to {rounded(value.high, 4)}"
 
 
+def interval_text(key: Key, value: Value, model: Model) -> str:
+    """Value with unit, and its interval in parentheses if the model states one."""
+    middle, ends = interval(key, value, wording_of(model))
+    return f"{middle} ({ends})" if ends else middle
+
+
 def between(first: datetime, second: datetime) -> str:
     """Period between two dates in UTC, as short as it is unambiguous: between 12 and 19 March."""
     first, second = min(first, second), max(first, second)

@@ -13,27 +13,8 @@ from piezod.recording.recording import Recording
 
 DEFAULTS = {"input": "voltage_V", "output": "force_N"}  # channels that a model is identified on unless others are named
 ROLE_WORDS = {
-    "input": frozenset(
-        ["input", "in", "u", "v", "voltage", "spannung", "tension", "command", "cmd", "drive", "excitation", "stimulus"]
-    ),
-    "output": frozenset(
-        [
-            "output",
-            "out",
-            "y",
-            "force",
-            "kraft",
-            "response",
-            "position",
-            "pos",
-            "displacement",
-            "weg",
-            "travel",
-            "stroke",
-            "strain",
-            "measured",
-        ]
-    ),
+    "input": "input in u v voltage spannung tension command cmd drive excitation stimulus",
+    "output": "output out y force kraft response position pos displacement weg travel stroke strain measured",
 }
 """Words by which the names of columns identify input and output."""
 
@@ -118,7 +99,7 @@ def choose_columns(path: Path, names: Sequence[str], given: Mapping[str, str | N
             free = [name for name in free if not factor_to(default, name)]
     defaults = dict(chosen)
     for role, words in ROLE_WORDS.items():
-        named = [name for name in free if words & set(re.split(r"[\W_]+", name.lower()))]
+        named = [name for name in free if set(words.split()) & set(re.split(r"[\W_]+", name.lower()))]
         if role not in chosen and len(named) == 1:
             chosen[role] = named[0]
             free.remove(named[0])

@@ -21,28 +21,11 @@ WORDS = {
 """Words for each quantity, in lower case and without accents."""
 
 UNITS = {
-    "time": {
-        "s": 1.0,
-        "sec": 1.0,
-        "sek": 1.0,
-        "seconds": 1.0,
-        "ms": 1e-3,
-        "us": 1e-6,
-        "ns": 1e-9,
-        "min": 60.0,
-        "h": 3600.0,
-        "d": 86400.0,
-    },
+    "time": dict.fromkeys(("s", "sec", "sek", "seconds"), 1.0)
+    | {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0},
     "voltage": {"V": 1.0, "mV": 1e-3, "kV": 1e3, "uV": 1e-6},
-    "force": {
-        "N": 1.0,
-        "mN": 1e-3,
-        "kN": 1e3,
-        "uN": 1e-6,
-        "lbf": 4.4482216152605,
-        "kgf": 9.80665,
-        "kip": 4448.2216152605,
-    },
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "uN": 1e-6}
+    | {"lbf": 4.4482216152605, "kgf": 9.80665, "kip": 4448.2216152605},
     "displacement": {"um": 1.0, "nm": 1e-3, "mm": 1e3, "m": 1e6, "mic": 1.0, "in": 25400.0},
     "temperature": {"C": 1.0, "degC": 1.0},
     "current": {"A": 1.0, "mA": 1e-3, "uA": 1e-6},

@@ -12,7 +12,7 @@ from piezod.diagnose.verdict.words import PER_CENT
 from piezod.history.archive_run import Diagnosed
 from piezod.history.fleet import BenchState, Fleet
 from piezod.history.parameters import Key
-from piezod.history.words import interval, wording_of
+from piezod.history.words import interval_text, wording_of
 from piezod.report.figures.layout import apply_layout
 from piezod.report.history import value_range, write_history_page
 from piezod.report.next_step import NextStep
@@ -133,8 +133,7 @@ def _cell(bench: BenchState, key: Key, *, marked: bool) -> str:
     value = bench.parameters.get(key)
     if value is None:
         return NONE
-    middle, ends = interval(key, value, wording_of(bench.timeline.steps[-1].entry.model))
-    text = f"{middle} ({ends})" if ends else middle
+    text = interval_text(key, value, bench.timeline.steps[-1].entry.model)
     return f"{MARK} {text}" if marked else text
 
 

@@ -1,8 +1,6 @@
 """History of a bench's models as text, CSV table and page with a panel for each parameter; comparison of two models."""
 
-import csv
 import html
-import io
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -19,7 +17,8 @@ from piezod.history.comparison import ModelComparison
 from piezod.history.parameters import Key
 from piezod.history.timeline import Step, Timeline
 from piezod.history.trends import Estimate, Trend
-from piezod.history.words import interval, verdict_of, wording_of
+from piezod.history.words import interval_text, verdict_of, wording_of
+from piezod.report.diagnosis.csv_tables import csv_text
 from piezod.report.figures.layout import MOST_TICKS, apply_layout
 from piezod.report.next_step import NextStep
 from piezod.report.page import Part, table_html, write_page
@@ -67,20 +66,18 @@ def write_history_csv(path: Path, timeline: Timeline) -> None:
     """
     ends = ("", "_low", "_high", "_changed")
     names = [f"{key}{end}" for key in timeline.keys for end in ends]
-    content = io.StringIO()
-    table = csv.writer(content, lineterminator="\n")
-    table.writerow(["date", "file", "sha256", "parent", "held_out_error", "noise", *names])
+    rows = list[list[object]]()
     for step in timeline.steps:
         entry, cells = step.entry, list[object]()
         for key in timeline.keys:
             value = step.parameters.get(key)
             cells += [""] * 4 if value is None else [*_digits(value), int(step.is_marked(key))]
-        errors = [
-            "" if error is None else error for error in (entry.model.provenance.fit.rms_held_out, _noise_of(step))
-        ]
+        known = entry.model.provenance.fit.rms_held_out, _noise_of(step)
+        errors = ["" if error is None else str(error) for error in known]
         head = [entry.date.isoformat(), entry.paths[0], min(entry.hashes), entry.parent or ""]
-        table.writerow([*head, *errors, *cells])
-    written(path, content.getvalue(), parents=True)
+        rows.append([*head, *errors, *cells])
+    header = ["date", "file", "sha256", "parent", "held_out_error", "noise", *names]
+    written(path, csv_text(header, rows), parents=True)
 
 
 def write_history_page(
@@ -200,8 +197,7 @@ def _cell(step: Step, key: Key) -> str:
     if value is None:
         change = step.change_of(key)
         return f"{MARK} {NONE}" if change is not None else NONE
-    middle, ends = interval(key, value, wording_of(step.entry.model))
-    text = f"{middle} ({ends})" if ends else middle
+    text = interval_text(key, value, step.entry.model)
     return f"{MARK} {text}" if step.is_marked(key) else text
 
 
@@ -256,9 +252,6 @@ def write_model_comparison_page(path: Path, comparison: ModelComparison) -> None
 
 def _row(parameter: ParameterChange, comparison: ModelComparison) -> list[str]:
     values = zip((parameter.before, parameter.after), comparison.models, strict=True)
-    cells = []
-    for value, model in values:
-        middle, ends = (NONE, "") if value is None else interval(parameter.key, value, wording_of(model))
-        cells.append(f"{middle} ({ends})" if ends else middle)
+    cells = [NONE if value is None else interval_text(parameter.key, value, model) for value, model in values]
     z = NONE if parameter.z is None else f"{parameter.z:+.1f}"
     return [parameter.heading, *cells, z, "differs" if parameter.changed else "agrees"]

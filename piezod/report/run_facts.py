@@ -53,14 +53,8 @@ def outlier_reason(recording: Recording, error: Array) -> str | None:
     time_s = recording.time_s
     at = f"at {time_s[worst]:.3f} s, {largest / rms:.1f} times the rms"
     recent = (time_s <= time_s[worst]) & (time_s >= time_s[worst] - NEAR_S)
-    return f"{at}: {_reason(recording, error, known, recent, worst, rms)}"
-
-
-def _reason(
-    recording: Recording, error: Array, known: NDArray[np.bool_], recent: NDArray[np.bool_], worst: int, rms: float
-) -> str:
-    """First reason that holds, the most certain one first; `recent`: mask of the time before the error."""
-    return _exchange_reason(recording, recent) or _course_reason(recording, error, known, recent, worst, rms)
+    reason = _exchange_reason(recording, recent) or _course_reason(recording, error, known, recent, worst, rms)
+    return f"{at}: {reason}"
 
 
 def _exchange_reason(recording: Recording, recent: NDArray[np.bool_]) -> str:

@@ -8,6 +8,7 @@ per variable. An element is a tag of 8 bytes (type 4, size 4), data, and padding
     type 15, deflated: one matrix, compressed by zlib
 """
 
+import math
 import struct
 import zlib
 from collections.abc import Iterator
@@ -78,10 +79,7 @@ class Variable:
     @property
     def count(self) -> int:
         """Number of values that the dimensions state."""
-        count = 1
-        for length in self.shape:
-            count *= length
-        return count
+        return math.prod(self.shape)
 
     @property
     def is_vector(self) -> bool:

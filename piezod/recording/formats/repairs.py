@@ -5,21 +5,8 @@ from collections import Counter
 
 MISSING = {
     *("", ".", "?", "na", "n/a", "n.a.", "n/d", "n.d.", "nd", "n.def.", "k.a.", "n.v.", "<na>", "#na", "#nv", "\\n"),
-    *(
-        "(null)",
-        "<null>",
-        "(none)",
-        "null",
-        "none",
-        "nil",
-        "nat",
-        "missing",
-        "undefined",
-        "undef",
-        "unavailable",
-        "not available",
-        "not a number",
-    ),
+    *("(null)", "<null>", "(none)", "null", "none", "nil", "nat", "missing", "undefined", "undef", "unavailable"),
+    *("not available", "not a number"),
     *("ovld", "ol", "o.l", "ovl", "overload", "over", "under", "ovrflw", "ovfl", "overflow", "underflow", "over range"),
     *("under range", "overrange", "underrange", "out of range", "bad", "error", "invalid", "fault", "fail"),
     *("failed", "bad input", "no data", "no value", "no sample", "i/o timeout", "timeout", "pt created", "shutdown"),

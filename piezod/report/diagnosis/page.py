@@ -222,7 +222,7 @@ def _drivers(page: _Page) -> str:
     unit, places = page.units[1], page.diagnosis.findings.where
     figures = [
         page.add(
-            f"left_over_{view.name}",
+            f"left_over_{view.driver.name}",
             *driver_figure(view, page.places_in(view.only) if view.only else places, unit, page.extended),
         )
         for view in views(page.recordings, page.shown, page.units)

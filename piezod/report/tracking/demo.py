@@ -18,12 +18,12 @@ from piezod.report.figures.layout import decimated, finish_figure, labelled_figu
 from piezod.report.page import Part, table_html, write_page
 from piezod.report.style import BLUE, GREEN, GREY, ORANGE
 from piezod.report.text_table import text_table
-from piezod.report.tracking.hidden import HiddenVerdict, hidden_html
+from piezod.report.tracking.hidden import ERRORS_HEADER, HiddenVerdict, hidden_html
 from piezod.report.tracking.tracking_errors import LABELS, FigureKey, SessionOutcome, TrackingFigures, tracking_figures
 
 MOST_HYSTERESIS = 0.25  # compensated over uncompensated max hysteresis at which the demo passes
 ONE_SECOND_ns = 1_000_000_000
-HEADER = ["reference", "compensation", "rms error [N]", "[%]", "max error [N]", "[%]", "max hysteresis [%]"]
+HEADER = ["reference", *ERRORS_HEADER, "max hysteresis [%]"]
 COLOURS = {"gain": ORANGE, "inverse": BLUE, "extended": GREEN}
 
 Rows = NDArray[np.void]
@@ -35,12 +35,10 @@ class Timing(Protocol):
     @property
     def lateness_us(self) -> dict[str, float]:
         """Delay of the wake-ups after their deadlines."""
-        ...
 
     @property
     def completion_us(self) -> dict[str, float]:
         """Time from the deadline to the committed state."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -207,10 +205,7 @@ def _rows(verdict: DemoVerdict) -> list[list[str]]:
         [
             reference,
             LABELS[compensation],
-            f"{errors.rms_error_N:.2f}",
-            f"{errors.rms_error_percent:.2f}",
-            f"{errors.max_error_N:.2f}",
-            f"{errors.max_error_percent:.2f}",
+            *errors.cells,
             "-" if errors.max_hysteresis_percent is None else f"{errors.max_hysteresis_percent:.2f}",
         ]
         for (reference, compensation), errors in verdict.figures.items()

@@ -10,6 +10,7 @@ from piezod.report.page import table_html
 from piezod.report.tracking.tracking_errors import LABELS, FigureKey, TrackingFigures, tracking_figures
 
 MOST_ERROR = 0.5  # rms error with the extended over that with the static model at which the demo passes
+ERRORS_HEADER = ("compensation", "rms error [N]", "[%]", "max error [N]", "[%]")  # of `TrackingFigures.cells`
 
 
 @dataclass(frozen=True)
@@ -84,14 +85,8 @@ def print_hidden(hidden: HiddenVerdict) -> None:
     """Print diagnosis, errors of each compensation, noise and verdict of `hidden`, the bench with hidden effects."""
     print("a bench with hidden creep, lag and delay (emulated in virtual time, as fast as this machine allows):")
     print(f"  diagnosis: {hidden.diagnosis}")
-    print(f"  {'compensation':<20} {'rms error [N]':>13} {'[%]':>6} {'max error [N]':>14} {'[%]':>6}")
-    for name, errors in hidden.figures.items():
-        print(
-            f"  {LABELS[name]:<20} {errors.rms_error_N:>13.2f} {errors.rms_error_percent:>6.2f} "
-            f"{errors.max_error_N:>14.2f} {errors.max_error_percent:>6.2f}"
-        )
-    share = 100.0 * hidden.noise_N / hidden.figures["extended"].range_N
-    print(f"  {'noise of the reading':<20} {hidden.noise_N:>13.2f} {share:>6.2f} {'-':>14} {'-':>6}")
+    for name, rms_N, rms, max_N, largest in (ERRORS_HEADER, *_rows(hidden)):
+        print(f"  {name:<20} {rms_N:>13} {rms:>6} {max_N:>14} {largest:>6}")
     print(hidden.sentence)
 
 
@@ -104,22 +99,17 @@ def hidden_html(hidden: HiddenVerdict) -> str:
         Result on the bench with hidden effects.
     """
     sure = ", ".join(f"{title} {confidence_words(confidence)}" for title, confidence in hidden.confidences.items())
-    rows = [
-        [
-            LABELS[name],
-            f"{errors.rms_error_N:.2f}",
-            f"{errors.rms_error_percent:.2f}",
-            f"{errors.max_error_N:.2f}",
-            f"{errors.max_error_percent:.2f}",
-        ]
-        for name, errors in hidden.figures.items()
-    ]
-    share = 100.0 * hidden.noise_N / hidden.figures["extended"].range_N
-    rows.append(["noise of the reading", f"{hidden.noise_N:.2f}", f"{share:.2f}", "-", "-"])
     return (
         "<h2>A bench with something wrong in it</h2>"
         "<p>Creep of the stack, a lag of the amplifier and a delay were hidden in the emulated bench. "
         "The diagnosis got the model without them and one recording.</p>"
         f"<p><strong>{html.escape(hidden.diagnosis)}</strong></p><p>Confidence: {html.escape(sure)}.</p>"
-        + table_html(["compensation", "rms error [N]", "[%]", "max error [N]", "[%]"], rows)
+        + table_html(ERRORS_HEADER, _rows(hidden))
     )
+
+
+def _rows(hidden: HiddenVerdict) -> list[list[str]]:
+    """Errors of each compensation, and the noise in their place."""
+    share = 100.0 * hidden.noise_N / hidden.figures["extended"].range_N
+    rows = [[LABELS[name], *errors.cells] for name, errors in hidden.figures.items()]
+    return [*rows, ["noise of the reading", f"{hidden.noise_N:.2f}", f"{share:.2f}", "-", "-"]]

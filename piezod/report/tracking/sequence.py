@@ -42,22 +42,18 @@ class StepRun(Protocol):
     @property
     def recording(self) -> Recording:
         """Reference and force while the reference was followed."""
-        ...
 
     @property
     def complete(self) -> bool:
         """Whether the reference reached its end."""
-        ...
 
     @property
     def missed(self) -> int:
         """Number of missed ticks."""
-        ...
 
     @property
     def failed_exchanges(self) -> int:
         """Number of failed exchanges."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,12 @@ class TrackingFigures:
     max_error_percent: float
     max_hysteresis_percent: float | None
 
+    @property
+    def cells(self) -> list[str]:
+        """Rms and largest error [N], each followed by its percentage, as text."""
+        values = (self.rms_error_N, self.rms_error_percent, self.max_error_N, self.max_error_percent)
+        return [f"{value:.2f}" for value in values]
+
     def as_dict(self) -> dict[str, float | int | None]:
         """Return the figures for JSON."""
         return asdict(self)

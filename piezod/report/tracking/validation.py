@@ -26,6 +26,8 @@ from piezod.report.text_table import column_widths, text_table
 from piezod.report.tracking.tracking_errors import FigureKey, SessionOutcome, TrackingFigures, tracking_figures
 
 MODEL_COLOURS = (BLUE, GREEN, RED, GREY)
+TRIANGLE = ("amplitude_N", "offset_N", "frequency_Hz")  # of a reference, for JSON
+COUNTED = ("ticks", "missed", "failed_exchanges", "fault", "stopped", "warnings")  # of the session, for JSON
 
 
 class Triangle(Protocol):
@@ -34,17 +36,14 @@ class Triangle(Protocol):
     @property
     def amplitude_N(self) -> float:
         """Half the difference between highest and lowest force."""
-        ...
 
     @property
     def offset_N(self) -> float:
         """Mean of highest and lowest force."""
-        ...
 
     @property
     def frequency_Hz(self) -> float:
         """Triangles per second."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -156,20 +155,16 @@ class ValidationVerdict:
             "figures": [
                 {
                     "reference": reference,
-                    "amplitude_N": self.references[reference].amplitude_N,
-                    "offset_N": self.references[reference].offset_N,
-                    "frequency_Hz": self.references[reference].frequency_Hz,
+                    **{
+                        key: getattr(self.references[reference], key)
+                        for key in ("amplitude_N", "offset_N", "frequency_Hz")
+                    },
                     "compensation": compensation,
                     **errors.as_dict(),
                 }
                 for (reference, compensation), errors in self.figures.items()
             ],
-            "ticks": self.outcome.ticks,
-            "missed": self.outcome.missed,
-            "failed_exchanges": self.outcome.failed_exchanges,
-            "fault": self.outcome.fault,
-            "stopped": self.outcome.stopped,
-            "warnings": self.outcome.warnings,
+            **{key: getattr(self.outcome, key) for key in COUNTED},
         }
 
 

@@ -27,7 +27,7 @@ def test_binned_means_separate_rising_from_falling():
     residuals = Residuals(
         replace(one, reading_N=2.0 * one.command_V + lag), 2.0 * one.command_V, 2.0 * one.command_V + lag
     )
-    view = next(view for view in views([residuals], [(1, residuals)], ("V", "N")) if view.name == "voltage_V")
+    view = next(view for view in views([residuals], [(1, residuals)], ("V", "N")) if view.driver.name == "voltage_V")
     np.testing.assert_allclose(view.before.rising[1:-1], 1.0, atol=0.05)
     np.testing.assert_allclose(view.before.falling[1:-1], -1.0, atol=0.05)
     np.testing.assert_allclose(view.after.mean, 0.0, atol=1e-12)
@@ -68,7 +68,7 @@ def test_one_outlier_does_not_flatten_the_residual():
 def test_a_place_wider_than_the_data_does_not_compress_the_curves():
     one = series("work.csv")
     residuals = Residuals(one, 1.9 * one.command_V, 2.0 * one.command_V)
-    view = next(view for view in views([residuals], [(1, residuals)], ("V", "N")) if view.name == "rate_V_per_s")
+    view = next(view for view in views([residuals], [(1, residuals)], ("V", "N")) if view.driver.name == "rate_V_per_s")
     plot = driver_figure(view, [Place("rate_V_per_s", 50.0, 1e5)], "N", "extended model")[0][0]
     boxes = [box for box in plot.select(BoxAnnotation) if box.hatch_pattern]
     assert boxes

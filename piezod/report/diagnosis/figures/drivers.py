@@ -32,20 +32,21 @@ def driver_figure(view: View, places: Sequence[Place], unit: str, extended: str)
     extended
         Name of the model after the diagnosis.
     """
-    columns = {view.name: view.x, "readings": view.count, **_columns("before", view.before)}
+    driver = view.driver
+    columns = {driver.name: view.x, "readings": view.count, **_columns("before", view.before)}
     columns |= _columns("after", view.after)
     source = column_source({**columns, **_bounds("before", view.before), **_bounds("after", view.after)})
-    scale: Axis = "log" if view.logarithmic else "linear"
-    plot = new_figure("", view.label, f"residual [{unit}]", 250, x_axis=scale)
+    scale: Axis = "log" if driver.logarithmic else "linear"
+    plot = new_figure("", driver.label, f"residual [{unit}]", 250, x_axis=scale)
     for name, label, colour in (("before", "given model", GIVEN), ("after", extended, EXTENDED)):
-        draw_band(plot, source, view.name, name, colour)
-        if view.directions:
-            draw_curve(plot, source, f"{name}_rising", label, colour, x=view.name, width=2)
-            draw_curve(plot, source, f"{name}_falling", label, colour, x=view.name, width=2, dash="dashed")
+        draw_band(plot, source, driver.name, name, colour)
+        if driver.directions:
+            draw_curve(plot, source, f"{name}_rising", label, colour, x=driver.name, width=2)
+            draw_curve(plot, source, f"{name}_falling", label, colour, x=driver.name, width=2, dash="dashed")
         else:
-            draw_curve(plot, source, f"{name}_mean", label, colour, x=view.name, width=2)
-    shaded = places_on(places, view.axis)
-    if view.axis == "rate_V_per_s":  # places give the magnitude of the rate
+            draw_curve(plot, source, f"{name}_mean", label, colour, x=driver.name, width=2)
+    shaded = places_on(places, driver.axis)
+    if driver.axis == "rate_V_per_s":  # places give the magnitude of the rate
         shaded += [Place(place.axis, -place.high, -place.low) for place in shaded]
     shade(plot, clipped(shaded, view.x))
     return [finish(plot)], columns

@@ -143,8 +143,6 @@ class View:
 
     Parameters
     ----------
-    name, axis, label, directions, logarithmic
-        As in `Driver`.
     x, count
         Mean of the driver, and number of readings, in each cell, shape (C,).
     before, after
@@ -153,15 +151,11 @@ class View:
         The recording that the view shows; None: all recordings.
     """
 
-    name: str
-    axis: str
-    label: str
+    driver: Driver
     x: Array
     count: Array
     before: BinnedResidual
     after: BinnedResidual
-    directions: bool = True
-    logarithmic: bool = False
     only: Residuals | None = None
 
 
@@ -206,17 +200,7 @@ def _view(recordings: Sequence[Residuals], driver: Driver) -> View:
         _binned(np.concatenate([residual[r.series.counts] for residual, r in pairs]), direction, cell, shown)
         for pairs in ([(r.before, r) for r in recordings], [(r.after, r) for r in recordings])
     )
-    return View(
-        driver.name,
-        driver.axis,
-        driver.label,
-        np.bincount(cell, x, cells)[shown] / count[shown],
-        count[shown],
-        before,
-        after,
-        directions=driver.directions,
-        logarithmic=driver.logarithmic,
-    )
+    return View(driver, np.bincount(cell, x, cells)[shown] / count[shown], count[shown], before, after)
 
 
 def _edges(values: Array) -> Array:
