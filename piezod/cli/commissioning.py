@@ -13,15 +13,18 @@ from piezod.cli.recordings import record_to_file
 from piezod.cli.root import ForceOption, JsonOption, app
 from piezod.errors import UsageError
 
+OptionalConfig = Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="Bench configuration.")]
+EmulatedOption = Annotated[
+    str | None,
+    typer.Option(metavar="SCENARIO", help="Emulated bench that runs faster than real time: stack or seed_bench."),
+]
+
 
 @app.command(epilog="Example: piezod commission --emulated seed_bench -o seed")
 def commission(
     output: Annotated[Path, typer.Option("-o", metavar="DIR", help="Folder for recordings, models and pages.")],
-    config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="Bench configuration.")] = None,
-    emulated: Annotated[
-        str | None,
-        typer.Option(metavar="SCENARIO", help="Emulated bench that runs faster than real time: stack or seed_bench."),
-    ] = None,
+    config: OptionalConfig = None,
+    emulated: EmulatedOption = None,
     frequency: Annotated[float, typer.Option(metavar="HZ", min=1e-4, help="Frequency of a triangle.")] = 0.1,
     periods: Annotated[int, typer.Option(min=5, max=1000, help="Triangles per excitation.")] = 20,
     force: ForceOption = False,
@@ -62,11 +65,8 @@ def commission(
 def investigate(
     output: Annotated[Path, typer.Option("-o", metavar="DIR", help="Folder for recordings, drives and findings.")],
     model: Annotated[Path, typer.Option("--model", metavar="MODEL", help="Identified model.")],
-    config: Annotated[Path | None, typer.Argument(metavar="[CONFIG]", help="Bench configuration.")] = None,
-    emulated: Annotated[
-        str | None,
-        typer.Option(metavar="SCENARIO", help="Emulated bench that runs faster than real time: stack or seed_bench."),
-    ] = None,
+    config: OptionalConfig = None,
+    emulated: EmulatedOption = None,
     hidden: Annotated[
         list[str] | None, typer.Option(metavar="EFFECT", help="Effect of the emulated bench; repeatable.")
     ] = None,

@@ -12,6 +12,7 @@ from piezod.errors import UsageError
 blind = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The concealed study: make, run, score.")
 app.add_typer(blind, name="blind")
 
+JobsOption = Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per core.")]
 StudyArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the study.")]
 
 
@@ -50,7 +51,7 @@ def blind_make(
         bool,
         typer.Option("--varied", help="Draw rate, start, tare, voltmeter and kinds of command of each bench."),
     ] = False,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per core.")] = None,
+    jobs: JobsOption = None,
 ) -> None:
     """Draw cases from a simulated plant that shares no code with this program, and seal the truth."""
     if (cases is None) == (lives is None):
@@ -90,7 +91,7 @@ def blind_run(
         Path,
         typer.Option("-o", metavar="VERDICTS", help="Folder for verdicts; cases with a verdict in it are left out."),
     ],
-    jobs: Annotated[int | None, typer.Option(min=1, help="Number of processes; default: one per core.")] = None,
+    jobs: JobsOption = None,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Scheduler of a Dask cluster that diagnoses the cases.")
     ] = None,

@@ -120,19 +120,12 @@ class BenchConfig(Section):
     @model_validator(mode="after")
     def _arming_is_within_limits(self) -> Self:
         arming, limits = self.arming, self.limits
-        require(
-            arming.voltage_V_per_s <= limits.slew_V_per_s,
-            "arming.voltage_V_per_s",
-            arming.voltage_V_per_s,
-            f"at most limits.slew_V_per_s, {limits.slew_V_per_s:g}",
-        )
+        rate, step_V = arming.voltage_V_per_s, arming.sign_check.step_V
+        slew = f"at most limits.slew_V_per_s, {limits.slew_V_per_s:g}"
+        require(rate <= limits.slew_V_per_s, "arming.voltage_V_per_s", rate, slew)
         highest_V = limits.voltage_max_V - limits.voltage_safe_V
-        require(
-            arming.sign_check.step_V <= highest_V,
-            "arming.sign_check.step_V",
-            arming.sign_check.step_V,
-            f"at most {highest_V:g}, from the safe voltage to limits.voltage_max_V",
-        )
+        highest = f"at most {highest_V:g}, from the safe voltage to limits.voltage_max_V"
+        require(step_V <= highest_V, "arming.sign_check.step_V", step_V, highest)
         return self
 
     @property

@@ -13,20 +13,10 @@ _UNITS = {
     "V_per_s2": "V/s\N{SUPERSCRIPT TWO}",
     "V_per_s": "V/s",
     "N_per_s": "N/s",
-    "Hz": "Hz",
-    "V": "V",
-    "N": "N",
-    "A": "A",
-    "F": "F",
-    "W": "W",
-    "s": "s",
-    "ms": "ms",
     "us": "\N{MICRO SIGN}s",
-    "h": "h",
-    "MB": "MB",
     "degC": "\N{DEGREE SIGN}C",
     "seconds": "s",
-    "samples": "samples",
+    **{unit: unit for unit in ("Hz", "V", "N", "A", "F", "W", "s", "ms", "h", "MB", "samples")},
 }
 
 

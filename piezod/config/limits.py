@@ -136,30 +136,14 @@ class LimitsConfig(Section):
         return self
 
 
-# Direction in which a limit may change while the bench is armed: +1 up, -1 down. All other limits must not change.
-_TIGHTER_DIRECTION = {
-    "voltage_max_V": -1,
-    "slew_V_per_s": -1,
-    "dissipation_max_W": -1,
-    "temperature_trip_degC": -1,
-    "force_min_N": 1,
-    "force_trip_N": -1,
-    "force_debounce_samples": -1,
-    "force_rate_trip_N_per_s": -1,
-    "tracking_trip_N": -1,
-    "tracking_trip_ms": -1,
-    "readback_trip_V": -1,
-    "readback_trip_ms": -1,
-    "stuck_samples": -1,
-    "stale_after_ms": -1,
-    "comm_loss_ms": -1,
-    "missed_ticks_in_a_row": -1,
-    "failed_exchanges": -1,
-    "temperature_low_degC": 1,
-    "temperature_frozen_s": -1,
-    "clamped_trip_ms": -1,
-    "arming_timeout_s": -1,
-}
+# Limits that may change while the bench is armed, upwards or downwards. All other limits must not change.
+_TIGHTER_UP = ("force_min_N", "temperature_low_degC")
+_TIGHTER_DOWN = (
+    *("voltage_max_V", "slew_V_per_s", "dissipation_max_W", "temperature_trip_degC", "temperature_frozen_s"),
+    *("force_trip_N", "force_debounce_samples", "force_rate_trip_N_per_s", "tracking_trip_N", "tracking_trip_ms"),
+    *("readback_trip_V", "readback_trip_ms", "stuck_samples", "stale_after_ms", "comm_loss_ms"),
+    *("missed_ticks_in_a_row", "failed_exchanges", "clamped_trip_ms", "arming_timeout_s"),
+)
 
 
 def loosened_limit(old: LimitsConfig, new: LimitsConfig) -> str:
@@ -168,11 +152,10 @@ def loosened_limit(old: LimitsConfig, new: LimitsConfig) -> str:
         before, after = getattr(old, name), getattr(new, name)
         if before == after:
             continue
-        direction = _TIGHTER_DIRECTION.get(name)
-        if direction is None:
+        if name not in (*_TIGHTER_UP, *_TIGHTER_DOWN):
             return f"limits.{name} would change from {before} to {after}"
         # null switches the limit off: the loosest value
-        if after is None or (before is not None and (after - before) * direction < 0):
+        if after is None or (before is not None and (after < before) == (name in _TIGHTER_UP)):
             change = f"from {_limit_text(before)} to {_limit_text(after)}"
             return f"limits.{name} would go {change}, which is looser"
     return ""

@@ -99,14 +99,8 @@ class Registers(Section):
 
     TICK_WRITES: ClassVar[tuple[str, ...]] = ("voltage_setpoint", "command_sequence")
     _TICK_READS = (
-        "force",
-        "voltage_readback",
-        "heartbeat",
-        "command_echo",
-        "status",
-        "temperature",
-        "reference",
-        "reference_counter",
+        *("force", "voltage_readback", "heartbeat", "command_echo"),
+        *("status", "temperature", "reference", "reference_counter"),
     )
 
     def tick_writes(self) -> dict[str, Register]:

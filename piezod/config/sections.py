@@ -69,12 +69,8 @@ class RecorderConfig(Section):
     @model_validator(mode="after")
     def _folder_holds_two_files(self) -> Self:
         least_MB = 2 * self.file_MB
-        require(
-            self.folder_MB >= least_MB,
-            "folder_MB",
-            self.folder_MB,
-            f"at least two files of file_MB, {least_MB:g}: the previous file stays while the next is written",
-        )
+        limit = f"at least two files of file_MB, {least_MB:g}: the previous file stays while the next is written"
+        require(self.folder_MB >= least_MB, "folder_MB", self.folder_MB, limit)
         return self
 
 

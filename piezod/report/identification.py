@@ -268,15 +268,9 @@ def _order_rows(candidates: Sequence[Candidate], chosen: Candidate) -> list[list
 def _operator_table(operators: Sequence[OperatorRow], units: tuple[str, str, str, str]) -> str:
     names = ("threshold r", "weight w", "inverse r'", "inverse w'")
     header = ["i", *(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True)), ""]
-    cells = [
-        [
-            str(operator.index),
-            f"{operator.threshold:.4g}",
-            f"{operator.weight:.4g}",
-            f"{operator.inverse_threshold:.4g}",
-            f"{operator.inverse_weight:.4g}",
-            "" if operator.matters else "insignificant",
-        ]
-        for operator in operators
-    ]
-    return table_html(header, cells)
+    rows = []
+    for operator in operators:
+        values = (operator.threshold, operator.weight, operator.inverse_threshold, operator.inverse_weight)
+        remark = "" if operator.matters else "insignificant"
+        rows.append([str(operator.index), *(f"{value:.4g}" for value in values), remark])
+    return table_html(header, rows)

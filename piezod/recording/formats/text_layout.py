@@ -217,16 +217,9 @@ def find_layout(path: Path, options: TextOptions) -> Layout:
 def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -> Layout:
     encoding, lines = _begin(path)
     table = _table(path, lines[: 2 * MOST_PREAMBLE_LINES], options.decimal)
-    separator, decimal, width = table.separator, table.decimal, table.width
+    separator, width = table.separator, table.width
     first = _first_row(lines, table)
-    words = table.words | text_cells(lines[first:], separator, decimal, width)
-    if separator == ";" and not options.decimal and not any("," in line for line in lines[first:]):
-        decimal = "."  # a point is a decimal mark where no comma is
-    rows = [
-        cells
-        for line in lines[first:]
-        if _row_width(line, separator, decimal, words) == width and (cells := split_cells(line, separator))
-    ]
+    decimal, words, rows = _rows_below(lines[first:], table, options)
     _check_decimal(path, rows, separator, decimal, options)
     head = head_of(lines[:first], separator, width)
     notes: list[str] = []
@@ -278,6 +271,22 @@ def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -
         date_place=date_place,
         since_1970=since_1970,
     )
+
+
+def _rows_below(
+    lines: Sequence[str], table: "_Table", options: TextOptions
+) -> tuple[str, frozenset[int], list[list[str]]]:
+    """Decimal mark, cells of words, and cells of the rows of numbers, of the lines from the first row on."""
+    separator, decimal = table.separator, table.decimal
+    words = table.words | text_cells(lines, separator, decimal, table.width)
+    if separator == ";" and not options.decimal and not any("," in line for line in lines):
+        decimal = "."  # a point is a decimal mark where no comma is
+    rows = [
+        cells
+        for line in lines
+        if _row_width(line, separator, decimal, words) == table.width and (cells := split_cells(line, separator))
+    ]
+    return decimal, words, rows
 
 
 def _begin(path: Path) -> tuple[str, list[str]]:

@@ -1,7 +1,7 @@
 """Text of a diagnosis page as HTML: verdict, signal chain, tables, and a card for each effect."""
 
-import html
 from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 
 from piezod.diagnose.findings import Finding, Findings, Place
@@ -26,7 +26,7 @@ def verdict_html(findings: Findings) -> str:
     """Verdict in a word, headline, and fall of the error."""
     return (
         f"<header><span class='chip {findings.verdict}'>{findings.verdict.replace('_', ' ')}</span>"
-        f"<h1>{_escaped(words.headline(findings))}</h1><p class='lead'>{_escaped(words.lead(findings))}</p></header>"
+        f"<h1>{escape(words.headline(findings))}</h1><p class='lead'>{escape(words.lead(findings))}</p></header>"
     )
 
 
@@ -39,8 +39,8 @@ def chain_html(findings: Findings) -> str:
         titles = [f"{effect.title}{marks[effect.status]}" for effect in effects]
         titles += ["stack changed"] if findings.base.changed and location == Location.STACK else []
         unchanged = [EFFECTS[old.name].title for old in findings.kept if EFFECTS[old.name].location == location]
-        inside = "".join(f"<b>{_escaped(title)}</b>" for title in titles)
-        inside += "".join(f"<i>{_escaped(title)} kept</i>" for title in unchanged)
+        inside = "".join(f"<b>{escape(title)}</b>" for title in titles)
+        inside += "".join(f"<i>{escape(title)} kept</i>" for title in unchanged)
         boxes.append(
             f"<li class='{'hit' if titles else ''}'><span>{name}</span>{inside or '<i>nothing found</i>'}</li>"
         )
@@ -55,9 +55,9 @@ def effects_html(findings: Findings, wording: Wording) -> str:
     findings, wording
         Result of the diagnosis; units and names of the recordings.
     """
-    remains = f"<p><b>What remains:</b> {_escaped(words.remaining_error(findings)[-1])}</p>"
+    remains = f"<p><b>What remains:</b> {escape(words.remaining_error(findings)[-1])}</p>"
     if not findings.effects:
-        not_tested = "".join(f"<p>{_escaped(sentence)}</p>" for sentence in words.not_tested(findings))
+        not_tested = "".join(f"<p>{escape(sentence)}</p>" for sentence in words.not_tested(findings))
         return remains + _places_table(findings, wording) + not_tested
     unit = unit_words(findings.unit)
     header = [
@@ -67,7 +67,7 @@ def effects_html(findings: Findings, wording: Wording) -> str:
         f"error without → with it [{unit}]",
         "compensator",
     ]
-    head = "".join(f"<th>{_escaped(label)}</th>" for label in header)
+    head = "".join(f"<th>{escape(label)}</th>" for label in header)
     rows = "".join(_effect_row(effect, findings, header, wording) for effect in findings.effects)
     below = _places_line(findings, wording) + remains
     return f"<table class='effects'><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{below}"
@@ -78,7 +78,7 @@ def _places_line(findings: Findings, wording: Wording) -> str:
     largest = words.largest_places(findings.where, MOST_PLACES_LINE)
     text = "; ".join(words.place_with_share(place, wording) for place in largest)
     heading = words.place_heading(findings)
-    return f"<p class='where'><b>{heading}</b> (share of the error): {_escaped(text)}</p>" if text else ""
+    return f"<p class='where'><b>{heading}</b> (share of the error): {escape(text)}</p>" if text else ""
 
 
 def _places_table(findings: Findings, wording: Wording) -> str:
@@ -102,7 +102,7 @@ def card_html(finding: Finding, findings: Findings, wording: Wording) -> str:
     effect = EFFECTS[finding.name]
     fields = (("Forward", "equation"), ("Signature", "signature"), ("Location", "location"), ("Valid", "valid for"))
     items = "".join(
-        f"<dt>{label}</dt><dd class='{field}'>{_escaped(words.docstring_field(effect, field))}</dd>"
+        f"<dt>{label}</dt><dd class='{field}'>{escape(words.docstring_field(effect, field))}</dd>"
         for field, label in fields
     )
     handling = words.HANDLINGS.get(finding.handling, finding.handling)
@@ -113,9 +113,9 @@ def card_html(finding: Finding, findings: Findings, wording: Wording) -> str:
         ("where", "; ".join(place_words(place, wording) for place in finding.where) or "everywhere"),
         ("compensator", handling + (f": {finding.why}" if finding.why else "")),
     ]
-    items += "".join(f"<dt>{label}</dt><dd>{_escaped(text)}</dd>" for label, text in facts)
+    items += "".join(f"<dt>{label}</dt><dd>{escape(text)}</dd>" for label, text in facts)
     return (
-        f"<article class='card'><h3>{_escaped(finding.title)} <code>{finding.name}</code></h3>"
+        f"<article class='card'><h3>{escape(finding.title)} <code>{finding.name}</code></h3>"
         f"<div class='two'><dl>{items}</dl><div>{_parameters_html(finding, wording)}{_rivals_html(finding)}</div></div>"
         "</article>"
     )
@@ -161,8 +161,8 @@ def remains_html(findings: Findings, places: Sequence[Place], wording: Wording) 
     wording
         Units and names of recordings for these places.
     """
-    sentences = "".join(f"<li>{_escaped(sentence)}</li>" for sentence in words.remains(findings, places, wording))
-    notes = "".join(f"<li>{_escaped(note)}</li>" for note in findings.notes)
+    sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in words.remains(findings, places, wording))
+    notes = "".join(f"<li>{escape(note)}</li>" for note in findings.notes)
     return f"<ul>{sentences}</ul>" + (f"<h3>Notes</h3><ul>{notes}</ul>" if notes else "")
 
 
@@ -190,11 +190,11 @@ def recordings_html(findings: Findings, series: Sequence[Series]) -> str:
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") -> str:
     """Table with escaped cells. Each cell carries the label of its column, shown on narrow screens."""
-    head = "".join(f"<th>{_escaped(label)}</th>" for label in header)
+    head = "".join(f"<th>{escape(label)}</th>" for label in header)
     body = "".join(
         "<tr>"
         + "".join(
-            f"<td data-label='{_escaped(label)}'>{_escaped(cell)}</td>" for label, cell in zip(header, row, strict=True)
+            f"<td data-label='{escape(label)}'>{escape(cell)}</td>" for label, cell in zip(header, row, strict=True)
         )
         + "</tr>"
         for row in rows
@@ -205,20 +205,18 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], kind: str = "") 
 def _effect_row(finding: Finding, findings: Findings, header: Sequence[str], wording: Wording) -> str:
     places = words.places_of(finding, wording)
     effect = (
-        f"<b>{_escaped(finding.title)}</b><small>{_escaped(words.location(finding))}"
-        f"{_escaped(': ' + places) if places else ''}</small>"
-        f"<small>{_escaped(words.since_given(finding, wording))}</small>"
+        f"<b>{escape(finding.title)}</b><small>{escape(words.location(finding))}"
+        f"{escape(': ' + places) if places else ''}</small>"
+        f"<small>{escape(words.since_given(finding, wording))}</small>"
     )
     cells = [
         effect,
         _parameters_column(finding, wording),
         _confidence_html(finding),
-        f"{_escaped(words.error_change(finding, findings.unit))}<small>noise {rounded(findings.floor)}</small>",
-        _escaped(words.HANDLINGS.get(finding.handling, finding.handling)),
+        f"{escape(words.error_change(finding, findings.unit))}<small>noise {rounded(findings.floor)}</small>",
+        escape(words.HANDLINGS.get(finding.handling, finding.handling)),
     ]
-    inside = "".join(
-        f"<td data-label='{_escaped(label)}'>{cell}</td>" for label, cell in zip(header, cells, strict=True)
-    )
+    inside = "".join(f"<td data-label='{escape(label)}'>{cell}</td>" for label, cell in zip(header, cells, strict=True))
     return f"<tr>{inside}</tr>"
 
 
@@ -229,9 +227,9 @@ def _parameters_column(finding: Finding, wording: Wording) -> str:
         if finding.where and effect.parameter(name).instant:
             continue
         text, interval = value_words(value, name, finding.name, wording)
-        label = _escaped(label_of(name, value.unit))
-        small = f"<small>{_escaped(interval)}</small>" if interval else ""
-        parts.append(f"<span class='parameter'>{label} <b>{_escaped(text)}</b>{small}</span>")
+        label = escape(label_of(name, value.unit))
+        small = f"<small>{escape(interval)}</small>" if interval else ""
+        parts.append(f"<span class='parameter'>{label} <b>{escape(text)}</b>{small}</span>")
     return "".join(parts)
 
 
@@ -242,7 +240,7 @@ def _error_change(finding: Finding, findings: Findings) -> str:
 
 def _confidence_html(finding: Finding) -> str:
     percentage = f"{100 * finding.confidence:.0f}"
-    near = "".join(f"<small>or {_escaped(title)}</small>" for title in words.near_rivals(finding))
+    near = "".join(f"<small>or {escape(title)}</small>" for title in words.near_rivals(finding))
     return (
         f"<span class='bar' role='img' aria-label='confidence {percentage} percent'>"
         f"<span style='width:{percentage}%'></span></span>{confidence_words(finding.confidence)}{near}"
@@ -265,9 +263,5 @@ def _rivals_html(finding: Finding) -> str:
         return "<p>No other effect of the catalogue explains the recordings similarly well.</p>"
     rows = [[EFFECTS[rival.name].title, rounded(rival.separation, 2)] for rival in rivals]
     experiments = dict.fromkeys(rival.separate_by for rival in rivals if rival.separate_by)
-    text = "".join(f"<p><b>To distinguish them:</b> {_escaped(experiment)}</p>" for experiment in experiments)
+    text = "".join(f"<p><b>To distinguish them:</b> {escape(experiment)}</p>" for experiment in experiments)
     return table(["rival: possible alternative", "difference of the predictions [times the noise]"], rows) + text
-
-
-def _escaped(text: str) -> str:
-    return html.escape(text)

@@ -19,24 +19,13 @@ from piezod.diagnose.verdict.words import (
 )
 from piezod.effects import EFFECTS, Effect, Location
 
-LOCATIONS = {
-    Location.AMPLIFIER: "amplifier",
-    Location.HYSTERESIS: "hysteresis",
-    Location.STACK: "stack",
-    Location.MECHANICS: "mechanics",
-    Location.LOAD_CELL: "load cell",
-    Location.ACQUISITION: "acquisition",
-}
+LOCATIONS = {location: location.name.lower().replace("_", " ") for location in Location}
 SCOPES = {
     "already": "present when the model was identified",
     "since": "appeared after the model was identified",
     "once": "happened once, in one recording",
 }
-HANDLINGS = {
-    "compensated": "compensated",
-    "corrected in the reading": "corrected in the reading",
-    "refused": "cannot be compensated",
-}
+HANDLINGS = {"refused": "cannot be compensated"}  # other handlings are shown by their names
 FLOORS = {
     "quiet": "measured while the command is constant",
     "repeats": "from repeated periods of the excitation",

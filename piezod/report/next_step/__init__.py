@@ -59,6 +59,20 @@ def command(*words: object) -> str:
     return shlex.join(["piezod", *map(str, words)])
 
 
+def recorded_and_diagnosed(model: Path, folder: object, name: str = "later.csv") -> tuple[str, str]:
+    """Commands that record a rich excitation and diagnose the recording.
+
+    Parameters
+    ----------
+    model, folder
+        Given model, and folder of the diagnosis.
+    name
+        File of the recording.
+    """
+    record = command("record", BENCH, "--excitation", RICH, "-o", name)
+    return record, command("diagnose", name, "--model", model, "-o", folder)
+
+
 def model_line(model: Path) -> str:
     """Line of a bench file that names a model, valid in every folder."""
     return f"model: {model.resolve()}"

@@ -10,11 +10,11 @@ from piezod.report.next_step import (
     CLOSE,
     LATER,
     RESTING,
-    RICH,
     STRUCTURED,
     NextStep,
     command,
     model_line,
+    recorded_and_diagnosed,
 )
 
 if TYPE_CHECKING:
@@ -68,16 +68,9 @@ def after_identify(
     if not drives_a_bench:
         return NextStep("usable; diagnose a later recording when the behaviour changes", (later,))
     if noises is None:
-        record = (
-            command("record", BENCH, "--excitation", RICH, "-o", "rich.csv"),
-            command("diagnose", "rich.csv", "--model", model, "-o", folder),
-        )
+        record = recorded_and_diagnosed(model, folder, name="rich.csv")
         return NextStep("usable; these recordings do not show the noise, record a richer excitation", record)
-    drive = (
-        command("run", BENCH, "--arm"),
-        command("record", BENCH, "--excitation", RICH, "-o", "later.csv"),
-        command("diagnose", "later.csv", "--model", model, "-o", folder),
-    )
+    drive = (command("run", BENCH, "--arm"), *recorded_and_diagnosed(model, folder))
     words, lines = _with_refused("usable, at the noise; drive the bench with it", [model_line(model)], list(refused))
     return NextStep(f"{words}; record and diagnose again when it changes", drive, tuple(lines))
 

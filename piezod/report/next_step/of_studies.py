@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from piezod.report.next_step import BENCH, LATER, RICH, NextStep, command, model_line
+from piezod.report.next_step import BENCH, LATER, NextStep, command, model_line, recorded_and_diagnosed
 
 UNFINISHED = ("unexplained", "partly_explained")  # verdicts that leave something to find
 ANOTHER_STUDY = 60  # cases: two hours of one core
@@ -21,10 +21,7 @@ def after_history(newest: Path, *, changed: bool, verdict: str | None) -> NextSt
     verdict
         Verdict of the newest check; None: there is none.
     """
-    again = (
-        command("record", BENCH, "--excitation", RICH, "-o", "later.csv"),
-        command("diagnose", "later.csv", "--model", newest, "-o", "diagnosis"),
-    )
+    again = recorded_and_diagnosed(newest, "diagnosis")
     if verdict in UNFINISHED:
         return NextStep(f"the newest check is {verdict.replace('_', ' ')}; record the drive that shows more", again)
     if changed:
@@ -59,10 +56,7 @@ def after_fleet(
         return NextStep(f"{failed.name} could not be diagnosed; read it alone to see the reason", (read,))
     if unfinished is not None:
         name, model = unfinished
-        drive = (
-            command("record", BENCH, "--excitation", RICH, "-o", "more.csv"),
-            command("diagnose", "more.csv", "--model", model, "-o", "diagnosis"),
-        )
+        drive = recorded_and_diagnosed(model, "diagnosis", name="more.csv")
         return NextStep(f"more is left at {name}; record there the drive that shows more", drive)
     words = "nothing: every newest recording is explained; repeat it after the next recordings"
     if not recordings:

@@ -237,27 +237,19 @@ def write_sequence_page(path: Path, verdict: SequenceVerdict, runs: Sequence[Ste
     parts: list[Part] = [table_html(HEADER, _rows(verdict)).replace("'numbers'", "'words'")]
     for number, (planned, run) in enumerate(zip(verdict.sequence.steps, runs, strict=True), 1):
         if run.recording.time_s.size:
-            parts += [_heading(number, planned), _figures(run.recording)]
+            parts += [f"<h2>{number}. {html.escape(planned.name)}</h2>", _figures(run.recording)]
     write_page(path, "Test sequence", (f"Test sequence: {verdict.sequence.name}", verdict.sentence), parts, step)
 
 
-def _heading(number: int, step: SequenceStep) -> str:
-    """Heading of a step, which is numbered from 1."""
-    return f"<h2>{number}. {html.escape(step.name)}</h2>"
-
-
 def _figures(recording: Recording) -> list[figure]:
-    time_s, reference, force = (decimated(values) for values in _curves(recording))
+    time_s = decimated(recording.time_s)
+    reference, force = (decimated(recording.channel(name)) for name in ("reference_N", "force_N"))
     forces = labelled_figure("Force", "time [s]", "force [N]", 240)
     forces.line(time_s, reference, color=GREY, line_width=3, legend_label="reference")
     forces.line(time_s, force, color=BLUE, legend_label="force")
     errors = labelled_figure("Force minus reference", "time [s]", "error [N]", 240, x_range=forces.x_range)
     errors.line(time_s, force - reference, color=ORANGE, legend_label="error")
     return [finish_figure(forces), finish_figure(errors)]
-
-
-def _curves(recording: Recording) -> tuple[Any, Any, Any]:
-    return recording.time_s, recording.channel("reference_N"), recording.channel("force_N")
 
 
 def _rows(verdict: SequenceVerdict) -> list[list[str]]:
