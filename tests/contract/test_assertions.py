@@ -4,13 +4,7 @@ import ast
 from pathlib import Path
 
 TESTS = Path(__file__).parents[1]
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in TESTS.rglob("*.py")}
-FUNCTIONS = [
-    node
-    for tree in TREES.values()
-    for node in ast.walk(tree)
-    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-]
+FUNCTION = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
 def called(function):
@@ -25,13 +19,14 @@ def asserts(function):
 
 
 def test_every_test_asserts():
-    checks = {function.name for function in FUNCTIONS if asserts(function)}
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in TESTS.rglob("*.py")}
+    functions = {path: [one for one in ast.walk(tree) if isinstance(one, FUNCTION)] for path, tree in trees.items()}
+    checks = {function.name for found in functions.values() for function in found if asserts(function)}
     silent = [
-        f"{path}: {node.name}"
-        for path, tree in TREES.items()
+        f"{path}: {one.name}"
+        for path, found in functions.items()
         if path.name.startswith("test_")
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_")
-        if not asserts(node) and called(node).isdisjoint(checks)
+        for one in found
+        if one.name.startswith("test_") and not asserts(one) and called(one).isdisjoint(checks)
     ]
     assert silent == []

@@ -105,7 +105,7 @@ def at_rest(bench):
     return "at rest" in piezod("stop", bench, "--direct").stdout
 
 
-@pytest.mark.parametrize("name", ["record", "sequence"])
+@pytest.mark.parametrize("name", ["record", pytest.param("sequence", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("how", ["stop", "disarm", signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_command_that_drives_ends_at_rest_by_every_way_to_stop_it_and_keeps_its_rows(bench, tmp_path, name, how):
     with driving(name, bench, tmp_path) as process:

@@ -31,6 +31,7 @@ def lines(found):
     return found
 
 
+@pytest.mark.slow
 def test_no_acknowledged_row_is_lost_when_the_recorder_is_killed_at_any_moment(tmp_path):
     (line,) = lines(study.kills(tmp_path, 5))
     assert line.acknowledged > 0
@@ -45,6 +46,7 @@ def test_no_acknowledged_row_is_lost_when_the_power_is_cut_and_a_cut_does_cost_w
     assert unsynced.lost > 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace")
 @pytest.mark.parametrize("what", ["EIO at every 20th sync", "ENOSPC at every 400th write"])
 def test_no_row_is_lost_when_system_calls_fail(tmp_path, monkeypatch, what):
@@ -116,6 +118,7 @@ def test_every_tick_of_the_daemon_is_recorded_and_read_while_it_is_written(serve
     assert np.corrcoef(recording.channel("voltage_V")[running], recording.channel("force_N")[running])[0, 1] > 0.9
 
 
+@pytest.mark.slow
 def test_a_recorder_that_dies_is_started_again_and_nothing_is_missing_or_twice(serves, tmp_path):
     with daemon(recording_bench(tmp_path, serves, tmp_path / "kept")) as service:
         service.connected()
@@ -165,6 +168,7 @@ def test_the_ticks_around_a_fault_have_a_file_of_their_own(serves, tmp_path):
     assert recording.metadata["kept"] == "around a fault"
 
 
+@pytest.mark.slow
 def test_a_disk_that_does_not_answer_is_said_and_costs_nothing(serves, tmp_path):
     with daemon(recording_bench(tmp_path, serves, tmp_path / "kept")) as service:
         ticking(service)
@@ -193,6 +197,7 @@ def fetch(service):
         return answer.read().decode()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(cannot_mount()), reason=cannot_mount())
 def test_a_full_disk_is_said_costs_no_tick_and_no_row_and_is_left_when_there_is_room(serves, tmp_path):
     with (

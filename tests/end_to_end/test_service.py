@@ -227,6 +227,7 @@ def test_when_disarmed_a_whole_configuration_is_taken_but_no_name(bench):
         assert service.tell("arm")["state"] == "RUNNING"
 
 
+@pytest.mark.slow
 def test_a_device_that_does_not_answer_is_waited_for_and_found(tmp_path):
     with emulator("--port", "0") as served:
         port = served["tcp"].rpartition(":")[2]

@@ -67,7 +67,7 @@ def register(serves, address, count=2):
     return struct.unpack(">f", struct.pack(">2H", *words))[0]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_signal_ramps_down_and_the_voltage_is_back_at_zero(number, tmp_path):
     with emulator("--port", "0") as serves:
         bench = bench_file(tmp_path, serves, rate_Hz=200, limits=PATIENT)

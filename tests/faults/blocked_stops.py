@@ -14,7 +14,6 @@ import sys
 import tempfile
 import threading
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
@@ -24,6 +23,7 @@ from piezod.errors import PiezodError
 from tests.benches.daemon import LONG_LIMITS, register
 from tests.benches.emulator import bench_file, emulator
 from tests.benches.processes import Popen
+from tests.faults.bench_pool import Observation
 from tests.faults.live_bench import DAEMON_ROOT
 
 WAYS = ("stop", "disarm", "SIGTERM")
@@ -32,28 +32,9 @@ GIVEN_UP_AFTER_S = 15.0
 REST_V = 0.5
 READBACK = 202  # register of the emulated bench
 FORCE_N = 120.0
-CLIENTS, LINES = 11, 200
 SILENT = 300  # more than both sockets serve
 FILLING = 1200  # messages of 90 bytes; a pipe holds 65,536 bytes
 FILLED_WITHIN_S = 10.0
-
-
-@dataclass
-class Try:
-    """One stop.
-
-    Parameters
-    ----------
-    blockade, way
-        What stood still, and how the stop was requested.
-    took_s, limit_s
-        Time until rest, infinite if it never came, and its limit [s].
-    """
-
-    blockade: str
-    way: str
-    took_s: float
-    limit_s: float
 
 
 class Service:
@@ -138,7 +119,7 @@ BLOCKADES = {function.__name__: function for function in (log_stands, silent_cli
 
 
 def stop_once(blockade, way):
-    """Drive, block, stop, and measure; returns a `Try`."""
+    """Drive, block, stop, and measure the time until rest, infinite if it never comes; it and its limit [s]."""
     with tempfile.TemporaryDirectory(prefix="piezod-stops-") as name, emulator("--port", "0") as serves:
         service = Service(Path(name), serves)
         try:
@@ -152,7 +133,7 @@ def stop_once(blockade, way):
             request.start()
             took_s = _until_rest(service, begun_s)
             unblock()
-            return Try(blockade, way, took_s, limit_s)
+            return took_s, limit_s
         finally:
             service.close()
 
@@ -171,3 +152,16 @@ def _until_rest(service, begun_s):
             return took_s
         time.sleep(0.005)
     return float("inf")
+
+
+def blocked(pool, fault, *, blockades, ways=WAYS):
+    """Stop a bench of its own in each way under each blockade; the observed time is the longest until rest."""
+    tries = [(blockade, way, *stop_once(blockade, way)) for blockade in blockades for way in ways]
+    longest_s = max(took_s for _, _, took_s, _ in tries)
+    late = [f"{blockade}, {way}: {took_s:.2f} s" for blockade, way, took_s, limit_s in tries if took_s > limit_s]
+    observed = Observation("none", text="; ".join(late), after_ms=1e3 * min(longest_s, 1e6))
+    observed.figures = {"stops": len(tries), "late": len(late), "never": float(longest_s == float("inf"))}
+    return observed
+
+
+INJECTORS = {"blocked": blocked}

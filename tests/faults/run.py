@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from tests.faults import (
     access_faults,
-    blocked_faults,
+    blocked_stops,
     device_faults,
     disk_faults,
     input_faults,
@@ -34,7 +34,7 @@ INJECTORS: dict[str, Callable] = {
     **input_faults.INJECTORS,
     **disk_faults.INJECTORS,
     **access_faults.INJECTORS,
-    **blocked_faults.INJECTORS,
+    **blocked_stops.INJECTORS,
 }
 INPUTS_OF_A_BENCH = {"metrics", "control_socket", "hostile_clients", "secrets"}
 IN_PROCESS = {*manual_clock_faults.INJECTORS, *device_faults.INJECTORS, *input_faults.INJECTORS} - INPUTS_OF_A_BENCH

@@ -6,6 +6,7 @@ do; the others need a system call, a file system, a right or a real clock.
 
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import yaml
@@ -33,6 +34,7 @@ STEPS = (
 )  # fmt: skip
 
 
+@cache
 def rows():
     """The rows that run here, by id."""
     found = {}
