@@ -64,8 +64,11 @@ def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, f
 
     if arm and output is None:
         raise UsageError("-o is missing: --sequence with --arm needs a folder for its results")
-    check_folder(output, ("junit.xml", "sequence.html"), force=force)
-    from piezod.commissioning.sequence import make_folder, plan_sequence, run_sequence
+    from piezod.commissioning.sequence import RESULTS, plan_sequence, remove_results, run_sequence
+
+    check_folder(output, RESULTS, force=force)
+    if arm and output is not None and force:
+        remove_results(output)
     from piezod.config import model_path
     from piezod.recording import write_recording
     from piezod.report.next_step.of_benches import after_sequence
@@ -85,20 +88,23 @@ def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, f
         lines.append(f"{path}: {len(plan.ticks)} steps, about {plan.duration_s:.0f} s; not driven, --arm is not given")
         print_result(content, "\n".join(lines), step, as_json=as_json)
         return 0
-    make_folder(output)  # before anything is driven
-    with progress(f"{len(plan.ticks)} steps", plan.duration_s) as show:
-        result = run_sequence(plan, config, show)
     from piezod.report.tracking.sequence import evaluate_sequence, junit_xml, sequence_text, write_sequence_page
     from piezod.runtime.files import written
+    from piezod.session.task import Outcome
 
+    killed = evaluate_sequence(plan.sequence, [], Outcome(fault="the run did not come to its end"))
+    written(output / RESULTS[0], junit_xml(killed), parents=True)  # before anything is driven
+    with progress(f"{len(plan.ticks)} steps", plan.duration_s) as show:
+        result = run_sequence(plan, config, show)
     verdict = evaluate_sequence(plan.sequence, result.runs, result.outcome)
     step = after_sequence(config, path, model, passed=verdict.passed, fault=result.outcome.fault)
     for number, run in enumerate(result.runs, 1):
         if run.recording.time_s.size:
             write_recording(run.recording, output / f"step_{number}.csv")
-    written(output / "junit.xml", junit_xml(verdict))
-    write_sequence_page(output / "sequence.html", verdict, result.runs, step)
-    text = f"{coloured(sequence_text(verdict))}\n{output / 'junit.xml'}, {output / 'sequence.html'}"
+    junit, page = (output / name for name in RESULTS)
+    written(junit, junit_xml(verdict))
+    write_sequence_page(page, verdict, result.runs, step)
+    text = f"{coloured(sequence_text(verdict))}\n{junit}, {page}"
     print_result(verdict.as_dict(), text, step, as_json=as_json)
     return 0 if verdict.passed else 1
 

@@ -22,6 +22,7 @@ from piezod.session.task import Outcome, SegmentSpec
 
 OWN_REFERENCE = ("reference", "voltage", "preview")
 """Checks of the bench's own reference, which a sequence does not drive."""
+RESULTS = ("junit.xml", "sequence.html")  # verdict and page, in the folder of the results
 COMPLETE = 0.95  # share of a step's ticks that a complete step has at least: some exchanges may fail
 
 
@@ -113,18 +114,19 @@ def plan_sequence(config: Path, path: Path) -> SequencePlan:
     return SequencePlan(bench, model, config.parent, sequence, variants, ticks, checks)
 
 
-def make_folder(output: Path) -> None:
-    """Make the folder of the results.
+def remove_results(output: Path) -> None:
+    """Remove the results of an earlier run: whoever finds results of a run that was killed must not take these for its.
 
     Raises
     ------
     ConfigurationError
-        It cannot be made.
+        A file cannot be removed.
     """
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigurationError(f"{output}: cannot be made: {error.strerror}") from error
+    for path in (*(output / name for name in RESULTS), *output.glob("step_[0-9]*.csv")):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise ConfigurationError(f"{path}: cannot be removed: {error.strerror}") from error
 
 
 def _variant(bench: BenchConfig, step: SequenceStep, folder: Path) -> BenchConfig:

@@ -47,6 +47,32 @@ def test_a_passing_sequence_ends_with_0(bench, tmp_path):
     assert "test passed: 2 limits of 1 steps are kept" in done.stdout
 
 
+class Killed(BaseException):
+    """What no handler of the command catches, as SIGKILL."""
+
+
+@pytest.mark.parametrize(
+    ("steps", "error", "left"),
+    [([step()], Killed, ["junit.xml"]), ([step(offset_N=330.0)], CheckFailedError, [])],
+)
+def test_a_run_that_does_not_end_leaves_no_result_of_the_run_before(bench, tmp_path, monkeypatch, steps, error, left):
+    from piezod.cli.running import _run_sequence
+    from piezod.commissioning import sequence
+
+    def killed(*_):
+        raise Killed
+
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("junit.xml", "sequence.html", "step_1.csv", "step_2.csv"):
+        (out / name).write_text('<testsuites failures="0"/>')
+    monkeypatch.setattr(sequence, "run_sequence", killed)
+    with pytest.raises(error):
+        _run_sequence(bench, sequence_file(tmp_path, *steps), out, arm=True, force=True, as_json=False)
+    assert [one.name for one in out.iterdir()] == left
+    assert [ET.parse(out / name).getroot().get("failures") for name in left] == ["3" for _ in left]
+
+
 def test_without_arm_a_sequence_is_only_checked(bench, tmp_path):
     path = sequence_file(tmp_path, step())
     done = piezod("run", bench, "--sequence", path)

@@ -4,6 +4,7 @@ import html
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from math import isfinite
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -97,8 +98,15 @@ class SequenceVerdict:
 
     @property
     def passed(self) -> bool:
-        """Whether every limit is kept, and the session ended without a fault."""
-        return all(item.result == "passed" for item in self.results) and not self.outcome.fault
+        """Whether every limit is kept, and the session ended without a fault or a stop."""
+        return all(item.result == "passed" for item in self.results) and not self.interruption
+
+    @property
+    def interruption(self) -> str:
+        """What ended the session before its end; empty: nothing."""
+        if self.outcome.fault:
+            return f"FAULT: {self.outcome.fault}"
+        return "stopped by the user" if self.outcome.stopped else ""
 
     @property
     def sentence(self) -> str:
@@ -108,9 +116,8 @@ class SequenceVerdict:
         if self.passed:
             return f"{self.sequence.name} passed: {total} are kept"
         parts = [f"{count} of {total} {result}" for result, count in counts.items() if count]
-        fault = [f"FAULT: {self.outcome.fault}"] if self.outcome.fault else []
-        stopped = ["stopped by the user"] if self.outcome.stopped and not self.outcome.fault else []
-        return f"{self.sequence.name} FAILED: {'; '.join([*parts, *fault, *stopped])}"
+        ended = [self.interruption] if self.interruption else []
+        return f"{self.sequence.name} FAILED: {'; '.join([*parts, *ended])}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the verdict for JSON."""
@@ -142,16 +149,14 @@ def evaluate_sequence(sequence: TestSequence, runs: Sequence[StepRun], outcome: 
     Parameters
     ----------
     runs
-        Runs of the steps, in their order. An incomplete one has no values.
+        Runs of the first steps or of all, in their order. An incomplete or missing one has no values.
     """
-    results = []
-    for step, run in zip(sequence.steps, runs, strict=True):
-        values = measured_values(step, run) if run.complete else {}
+    results, durations_s = [], {}
+    for step, run in zip_longest(sequence.steps, runs):
+        values = measured_values(step, run) if run is not None and run.complete else {}
         results += [LimitResult(step.name, name, limit, values.get(name)) for name, limit in step.limits.given.items()]
-    durations_s = {
-        step.name: float(run.recording.time_s[-1]) if run.recording.time_s.size else 0.0
-        for step, run in zip(sequence.steps, runs, strict=True)
-    }
+        is_empty = run is None or not run.recording.time_s.size
+        durations_s[step.name] = 0.0 if is_empty else float(run.recording.time_s[-1])
     return SequenceVerdict(sequence, results, durations_s, outcome)
 
 
@@ -194,16 +199,17 @@ def sequence_text(verdict: SequenceVerdict) -> str:
 
 
 def junit_xml(verdict: SequenceVerdict) -> str:
-    """Format the verdict as JUnit XML: one test case for each limit of each step.
+    """Format the verdict as JUnit XML: one test case for each limit of each step, and one for the end of the session.
 
-    Source of the form: github.com/testmoapp/junitxml.
+    What was not measured is a failure: a reader of such files takes a skipped test for a passed one. Source of the
+    form: github.com/testmoapp/junitxml.
     """
-    counts = {result: sum(item.result == result for item in verdict.results) for result in ("FAILED", "not run")}
+    failures = sum(item.result != "passed" for item in verdict.results) + bool(verdict.interruption)
     numbers = {
-        "tests": str(len(verdict.results)),
-        "failures": str(counts["FAILED"]),
-        "errors": "1" if verdict.outcome.fault else "0",
-        "skipped": str(counts["not run"]),
+        "tests": str(len(verdict.results) + 1),
+        "failures": str(failures),
+        "errors": "0",
+        "skipped": "0",
         "time": f"{sum(verdict.durations_s.values()):.3f}",
     }
     root = ET.Element("testsuites", {"name": verdict.sequence.name, **numbers})
@@ -211,12 +217,11 @@ def junit_xml(verdict: SequenceVerdict) -> str:
     for item in verdict.results:
         about = {"classname": f"{verdict.sequence.name}.{item.step}", "name": item.name}
         case = ET.SubElement(suite, "testcase", about | {"time": f"{verdict.durations_s[item.step]:.3f}"})
-        if item.result == "FAILED":
+        if item.result != "passed":
             ET.SubElement(case, "failure", {"message": item.words, "type": "limit"})
-        elif item.result == "not run":
-            ET.SubElement(case, "skipped", {"message": verdict.outcome.fault or "the step was not completed"})
-    if verdict.outcome.fault:
-        ET.SubElement(suite, "system-err").text = verdict.outcome.fault
+    end = ET.SubElement(suite, "testcase", {"classname": verdict.sequence.name, "name": "end", "time": "0.000"})
+    if verdict.interruption:
+        ET.SubElement(end, "failure", {"message": verdict.interruption, "type": "end"})
     ET.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
 

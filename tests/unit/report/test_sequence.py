@@ -81,13 +81,35 @@ def test_a_fault_fails_a_sequence_whose_limits_are_kept():
 def test_junit_counts_failures_and_steps_that_did_not_run():
     failed = ET.fromstring(junit_xml(judged(run(error_N=1.0), rms_error_N=0.5, missed_ticks=0)))
     suite = failed.find("testsuite")
-    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("2", "1", "0")
+    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("3", "1", "0")
     case = suite.find("testcase")
     assert (case.get("classname"), case.get("name")) == ("test.a <step>", "rms_error_N")
     assert case.find("failure").get("message") == "rms_error_N is 1, must be at most 0.5"
-    away = ET.fromstring(junit_xml(judged(run(complete=False), Outcome(fault="no link"), rms_error_N=0.5)))
-    assert away.find("testsuite/testcase/skipped").get("message") == "no link"
-    assert away.get("errors") == "1"
+    passed = ET.fromstring(junit_xml(judged(run(), rms_error_N=0.5)))
+    assert (passed.get("failures"), passed.find(".//failure")) == ("0", None)
+
+
+@pytest.mark.parametrize(
+    ("made", "outcome", "failures"),
+    [
+        (run(complete=False), Outcome(fault="no link"), 2),
+        (run(complete=False), Outcome(stopped=True), 2),
+        (run(complete=False), Outcome(), 1),
+        (None, Outcome(fault="the run was killed"), 2),
+        (run(), Outcome(fault="no link"), 1),
+        (run(), Outcome(stopped=True), 1),
+    ],
+)
+def test_a_run_without_its_end_is_a_failure_in_junit_and_never_skipped(made, outcome, failures):
+    verdict = evaluate_sequence(sequence(rms_error_N=0.5), [] if made is None else [made], outcome)
+    root = ET.fromstring(junit_xml(verdict))
+    assert not verdict.passed
+    assert [root.get(name) for name in ("tests", "failures", "errors", "skipped")] == ["2", str(failures), "0", "0"]
+    assert len(root.findall("testsuite/testcase/failure")) == failures
+    assert root.find(".//skipped") is None
+    end = root.findall("testsuite/testcase")[-1].find("failure")
+    assert (end is None) == (outcome == Outcome())
+    assert end is None or end.get("message") in (f"FAULT: {outcome.fault}", "stopped by the user")
 
 
 def test_the_text_has_a_line_for_each_limit_and_the_verdict():
