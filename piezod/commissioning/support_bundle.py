@@ -65,7 +65,7 @@ def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str
     check_page(output)
     bench = load_bench(config)
     missing: dict[str, str] = {}
-    parts = {"bench.yaml": _redacted_configuration(bench, read_document(config).content)}
+    parts: dict[str, Any] = {}
     makers = {"status.json": _status, "log.txt": _log, "ticks.csv": _ticks, "transitions.txt": _transitions}
     for name, make in makers.items():
         try:
@@ -80,30 +80,16 @@ def write_bundle(config: Path, output: Path, *, force: bool = False) -> dict[str
         "model": _model(bench, config),
         "left_out": missing,
     }
-    parts["bundle.json"] = json.dumps(about, indent=2) + "\n"
-    parts = {name: text if name == "bench.yaml" else _without(text, _secrets(bench)) for name, text in parts.items()}
-    content = io.BytesIO()
+    parts["bundle.json"] = about
+    content, secrets = io.BytesIO(), _secrets(bench)
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as bundle:
-        for name, text in parts.items():
-            bundle.writestr(name, text)
+        shown = effective_text(_redacted(all_values(bench), secrets), read_document(config).content)
+        bundle.writestr("bench.yaml", shown)
+        for name, part in parts.items():
+            shown = _redacted(part, secrets)  # before it is encoded, which writes a quote in another way
+            bundle.writestr(name, shown if isinstance(shown, str) else json.dumps(shown, indent=2) + "\n")
     written(output, content.getvalue(), mode=0o600)
     return about
-
-
-def _without(text: str, secrets: set[str]) -> str:
-    """Replace secrets in a text that is not YAML. Short secrets are skipped: they could be parts of words."""
-    for secret in sorted((text for text in secrets if len(text) >= SHORTEST_SECRET), key=len, reverse=True):
-        text = text.replace(secret, REMOVED)
-    return text.replace(str(Path.home()), "~")
-
-
-def _redacted_configuration(bench: BenchConfig, content: dict[str, Any]) -> str:
-    """Effective configuration without secrets and without the location of the bench.
-
-    Replaced: file names and host names of TLS, host names, public addresses, groups, and the lines of an ASCII
-    protocol, which may contain a password. Numbers, registers and private addresses stay, because support needs them.
-    """
-    return effective_text(_redacted(all_values(bench), _secrets(bench)), content)
 
 
 def _secrets(bench: BenchConfig) -> set[str]:
@@ -134,16 +120,35 @@ def _private(host: str) -> bool:
         return host == "localhost"
 
 
-def _redacted(value: object, secrets: set[str]) -> Any:  # noqa: ANN401  # any value of YAML
-    """Copy of a value with every secret replaced."""
+def _redacted(value: object, secrets: set[str]) -> Any:  # noqa: ANN401  # any value of JSON
+    """Copy of a value without secrets, without the folder of the user, and without the location of the bench.
+
+    Replaced: file names and host names of TLS, host names, public addresses, groups, and the lines of an ASCII
+    protocol, which may contain a password. Numbers, registers and private addresses stay, because support needs them.
+    A secret within a text is replaced in each form that a message gives it (`_forms`). A short one is replaced only as
+    a whole value: it could be part of a word.
+    """
     if isinstance(value, dict):
         return {key: _redacted(part, secrets) for key, part in value.items()}
     if isinstance(value, list | tuple):
         return [_redacted(part, secrets) for part in value]
-    return REMOVED if isinstance(value, str) and value in secrets else value
+    if not isinstance(value, str) or value in secrets:
+        return REMOVED if isinstance(value, str) else value
+    forms = {form for secret in secrets for form in _forms(secret) if len(form) >= SHORTEST_SECRET}
+    for form in sorted(forms, key=len, reverse=True):
+        value = value.replace(form, REMOVED)
+    return value.replace(str(Path.home()), "~")
 
 
-def _status(bench: BenchConfig) -> str:
+def _forms(secret: str) -> set[str]:
+    """A secret as it stands in a text: as it is, quoted by Python or JSON, and with marks for what is not printable."""
+    text = secret.strip()
+    quoted = (repr(text)[1:-1], ascii(text)[1:-1], repr(text.encode())[2:-1])
+    as_json = (json.dumps(text)[1:-1], json.dumps(text, ensure_ascii=False)[1:-1])
+    return {text, *quoted, *as_json, "".join(c if c.isprintable() else "?" for c in text)}
+
+
+def _status(bench: BenchConfig) -> dict[str, Any]:
     client = Client(bench.socket_path)
     try:
         status: dict[str, Any] = client.ask("status")
@@ -151,7 +156,7 @@ def _status(bench: BenchConfig) -> str:
         client.close()
     if exchange := status.get("bad_exchange"):
         status["bad_exchange"] = without_lines(exchange, bench)
-    return json.dumps(status, indent=2) + "\n"
+    return status
 
 
 def without_lines(exchange: dict[str, Any], bench: BenchConfig) -> dict[str, Any]:

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import yaml
 
+from piezod.commissioning import support_bundle
 from piezod.commissioning.shipped_files import shipped
 from piezod.commissioning.support_bundle import without_lines, write_bundle
 from piezod.config import BenchConfig, read_document
 from piezod.control import ROW_DTYPE, Cause, RingLog, State
-from piezod.errors import ConfigurationError, UsageError
+from piezod.errors import ConfigurationError, TemporaryError, UsageError
 
 SECRET = {"ca": "/etc/pki/plant-ca.pem", "certificate": "/etc/pki/me.pem", "key": "/etc/pki/secret.key"}
 
@@ -57,6 +58,50 @@ def test_lines_of_a_protocol_are_removed_and_numbers_stay(tmp_path):
     assert shown["link"]["setup"] == [{"reply": None, "send": "REMOVED"}, {"reply": "REMOVED", "send": "REMOVED"}]
     assert shown["link"]["baudrate"] == 115200
     assert shown["load_cell_link"]["host"].startswith("192.168.")
+
+
+PASSWORDS = [
+    'LOGIN "pw-4711"',
+    "LOGIN 'pw-4711'",
+    "LOGIN \"a'pw-4711",
+    "LOGIN \\pw-4711",
+    "LOGIN pw-4711\u00e4\t\u20ac",
+    "LOGIN pw-4711 ",
+]
+
+
+@pytest.mark.parametrize("send", PASSWORDS)
+def test_a_password_is_removed_in_whatever_form_a_message_quotes_it(tmp_path, monkeypatch, send):
+    content = yaml.safe_load(shipped("pi_e625.yaml").read_text(encoding="utf-8"))
+    content["link"]["setup"] = [{"send": send, "reply": 'OK "pw-4711"'}]
+    content["name"] = "stack-1"
+    path = tmp_path / "bench.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    problem = TemporaryError(f"link.setup[0], {send!r}, ended in timeout: {send}")
+    answers = {"status": {"problem": str(problem), "more": [send, {"text": f"sent {send}"}]}, "log": {"lines": []}}
+    answers["log"]["lines"] = [
+        str(problem),
+        f"sent {send}",
+        json.dumps({"sent": send}),
+        ascii(send),
+        repr(send.encode()),
+    ]
+
+    class Daemon:
+        def ask(self, name):
+            return answers[name]
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(support_bundle, "Client", lambda _: Daemon())
+    monkeypatch.setattr(support_bundle, "_rows", lambda _: np.zeros(0, ROW_DTYPE))
+    monkeypatch.setattr(support_bundle, "_model", lambda *_: {"problem": f'sent "{send}"'})
+    write_bundle(path, tmp_path / "out.zip")
+    parts = contents(tmp_path / "out.zip")
+    assert {"status.json", "log.txt", "bench.yaml"} <= set(parts)
+    assert [name for name, text in parts.items() if "pw-4711" in text] == []
+    assert json.loads(parts["status.json"])["more"][1]["text"].strip() == "sent REMOVED"
 
 
 def test_the_bundle_contains_versions_machine_model_and_the_last_ticks(config, tmp_path):
