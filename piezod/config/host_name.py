@@ -1,11 +1,14 @@
-"""Names of hosts that a bench file can hold: an address, or a name of RFC 1123."""
+"""Names of hosts in a bench file, an address or a name of RFC 1123, and in requests of the web."""
 
 import re
+from collections.abc import Collection
 from ipaddress import ip_address
 from typing import Annotated
+from urllib.parse import urlsplit
 
 from pydantic import AfterValidator, Field
 
+LOCAL_NAMES = ("127.0.0.1", "localhost")
 LONGEST_NAME, LONGEST_LABEL = 253, 63  # characters, RFC 1035 section 2.3.4
 _LABEL = re.compile(r"[^\W_](?:[\w-]*[^\W_])?|_[\w-]*")  # letters of every script: the resolver encodes them
 
@@ -57,3 +60,23 @@ def _label_reason(labels: list[str]) -> str:
 
 
 HostName = Annotated[str, Field(min_length=1), AfterValidator(check_host)]
+
+
+def is_permitted(host: str, origin: str | None, names: Collection[str]) -> bool:
+    """Whether a request comes under a known name, and from no foreign page.
+
+    A browser sends the name that the user opened as `Host`. A foreign page whose name is bound to 127.0.0.1 (DNS
+    rebinding) therefore shows itself by its name. `Origin` is sent with scripts of a page: it must be the page itself.
+
+    Parameters
+    ----------
+    host, origin
+        Headers `Host` and `Origin`; None: there is no `Origin`.
+    names
+        Known names in lower case, without port.
+    """
+    try:
+        is_known = (urlsplit(f"//{host}").hostname or "") in names and "@" not in host
+        return is_known and (origin is None or urlsplit(origin).netloc.lower() == host.lower())
+    except ValueError:
+        return False

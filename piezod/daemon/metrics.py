@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import Callable, Iterable, Sequence
+from email import message_from_bytes
 from math import inf
 
 import numpy as np
@@ -12,6 +13,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Histo
 from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
 
+from piezod.config.host_name import LOCAL_NAMES, is_permitted
 from piezod.control import State
 from piezod.control.leaky_count import interlock_counts
 from piezod.control.phase_times import PHASES
@@ -32,6 +34,7 @@ from piezod.transport import ExchangeResult
 ADDRESS = "127.0.0.1"  # only programs on this machine can read the metrics
 REQUEST_WITHIN_S = 5.0
 LONGEST_REQUEST = 8192
+TEXT = "text/plain; charset=utf-8"
 MOST_CLIENTS = 8
 _GAUGES = {
     "reference_N": ("piezod_reference_newtons", "Last reference force"),
@@ -276,7 +279,7 @@ def _buckets(durations: DurationHistogram) -> list[tuple[str, float]]:
 
 
 class MetricsServer:
-    """HTTP server that answers `GET /metrics` and no other request.
+    """HTTP server that answers `GET /metrics` under a local name and no other request.
 
     Parameters
     ----------
@@ -339,13 +342,19 @@ class MetricsServer:
                 await writer.wait_closed()
 
     def _answer(self, request: bytes) -> bytes:
-        method, _, rest = request.partition(b" ")
+        line, _, rest = request.partition(b"\r\n")
+        headers = message_from_bytes(rest)
+        hosts = headers.get_all("Host", [])
+        if len(hosts) != 1 or not is_permitted(str(hosts[0]), headers.get("Origin"), LOCAL_NAMES):
+            return _response("403 Forbidden", TEXT, f"the host must be {' or '.join(LOCAL_NAMES)}\n".encode())
+        method, _, rest = line.partition(b" ")
         path = rest.partition(b" ")[0].partition(b"?")[0]
         if method != b"GET" or path not in (b"/", b"/metrics"):
-            return _response("404 Not Found", "text/plain; charset=utf-8", b"GET /metrics\n")
+            return _response("404 Not Found", TEXT, b"GET /metrics\n")
         return _response("200 OK", CONTENT_TYPE_LATEST, generate_latest(self._registry))
 
 
 def _response(status: str, kind: str, body: bytes) -> bytes:
-    head = f"HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\nConnection: close\r\n\r\n"
+    head = f"HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\nConnection: close\r\n"
+    head += "X-Content-Type-Options: nosniff\r\nCross-Origin-Resource-Policy: same-origin\r\n\r\n"
     return head.encode("ascii") + body

@@ -521,7 +521,7 @@ class History:
 
     def scrape(self, count, kind):
         """Clients of the metrics, most of them impolite; the state that a polite one reads is judged."""
-        request = (b"GET /metrics HTTP/1.1\r\nHost: here\r\n\r\n", b"GET /metrics", b"x" * 20_000, b"")[kind]
+        request = (b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n", b"GET /metrics", b"x" * 20_000, b"")[kind]
 
         def talk():
             client = self.kernel.socket()

@@ -1,18 +1,14 @@
-"""Who may see the live page: requests under known host names, from the page itself, outside frames of other pages.
-
-A browser sends the name that the user opened as `Host`. A foreign page whose name is bound to 127.0.0.1 (DNS rebinding)
-therefore shows itself by its name. `Origin` is sent with scripts of a page: it must be the page itself.
-"""
+"""Who may see the live page: requests under known host names, from the page itself, outside frames of other pages."""
 
 from collections.abc import Sequence
 from typing import Any
-from urllib.parse import urlsplit
 
 from bokeh.server.tornado import BokehTornado
 from tornado.httputil import HTTPHeaders, HTTPMessageDelegate, HTTPServerRequest
 from tornado.web import ErrorHandler, OutputTransform
 
-LOCAL_NAMES = ("127.0.0.1", "localhost")
+from piezod.config.host_name import is_permitted
+
 FORBIDDEN = 403
 
 
@@ -34,18 +30,10 @@ class ProtectedPages(BokehTornado):
 
     def find_handler(self, request: HTTPServerRequest, **kwargs: Any) -> HTTPMessageDelegate:  # noqa: ANN401
         """Handler of a request; 403 for a foreign host or origin."""
-        if not self._is_permitted(request):
+        if not is_permitted(request.host, request.headers.get("Origin"), self._names):
             return self.get_handler_delegate(request, ErrorHandler, {"status_code": FORBIDDEN})
         handler: HTTPMessageDelegate = super().find_handler(request, **kwargs)
         return handler
-
-    def _is_permitted(self, request: HTTPServerRequest) -> bool:
-        try:
-            host, origin = urlsplit(f"//{request.host}"), request.headers.get("Origin")
-            is_known = (host.hostname or "") in self._names and "@" not in request.host
-            return is_known and (origin is None or urlsplit(origin).netloc.lower() == request.host.lower())
-        except ValueError:
-            return False
 
 
 class ProtectionHeaders(OutputTransform):  # type: ignore[misc]  # Tornado has no types

@@ -25,10 +25,11 @@ from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
 
 from piezod.config import BenchConfig
+from piezod.config.host_name import LOCAL_NAMES
 from piezod.config.regular_file import open_regular
 from piezod.errors import BusyError, ConfigurationError, PiezodError
 from piezod.report.live.feed import Feed, SEGMENT_s
-from piezod.report.live.protection import LOCAL_NAMES, ProtectedPages
+from piezod.report.live.protection import ProtectedPages
 from piezod.report.live.template import LIVE_CSS, LIVE_SCRIPT, TEMPLATE
 from piezod.report.live.viewer import Viewer, add_command_buttons
 

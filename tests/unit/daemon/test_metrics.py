@@ -33,7 +33,7 @@ def make_statistics():
     return statistics
 
 
-async def fetch(request=b"GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n", bench_name="emulator"):
+async def fetch(request=b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n", bench_name="emulator"):
     log = []
     server = MetricsServer(BenchMetrics(bench_name, make_statistics()), log.append)
     await server.open(0)
@@ -85,12 +85,39 @@ def test_a_value_that_the_device_does_not_have_has_no_sample():
     assert "piezod_voltage_readback_volts{" not in body
 
 
-@pytest.mark.parametrize(
-    "request_line", [b"POST /metrics HTTP/1.1\r\n\r\n", b"GET /arm HTTP/1.1\r\n\r\n", b"x\r\n\r\n"]
-)
+@pytest.mark.parametrize("request_line", [b"POST /metrics HTTP/1.1\r\n", b"GET /arm HTTP/1.1\r\n", b"x\r\n"])
 def test_other_requests_are_answered_with_404(request_line):
-    head, _ = asyncio.run(fetch(request_line))
+    head, _ = asyncio.run(fetch(request_line + b"Host: localhost\r\n\r\n"))
     assert head.startswith("HTTP/1.1 404")
+
+
+@pytest.mark.parametrize(
+    ("headers", "code"),
+    [
+        ("Host: 127.0.0.1:9100", 200),
+        ("Host: LOCALHOST:1", 200),
+        ("hOsT:localhost", 200),
+        ("Host: localhost:9100\r\nOrigin: http://localhost:9100", 200),
+        ("Host: evil.example", 403),
+        ("Host: evil.example:9100", 403),
+        ("Host: 127.0.0.1.evil.example", 403),
+        ("Host: localhost@evil.example", 403),
+        ("Host: evil.example@localhost", 403),
+        ("Host: [", 403),
+        ("Host: ", 403),
+        ("X: y", 403),
+        ("Host: localhost\r\nHost: evil.example", 403),
+        ("Host: evil.example\r\nHost: localhost", 403),
+        ("Host: localhost\r\nOrigin: http://evil.example", 403),
+        ("Host: localhost\r\nOrigin: null", 403),
+    ],
+)
+def test_a_page_of_another_name_reads_no_metrics(headers, code):
+    head, body = asyncio.run(fetch(f"GET /metrics HTTP/1.1\r\n{headers}\r\n\r\n".encode()))
+    assert head.startswith(f"HTTP/1.1 {code} ")
+    assert ("piezod_force_newtons" in body) == (code == 200)
+    assert "Cross-Origin-Resource-Policy: same-origin" in head
+    assert "Access-Control" not in head
 
 
 def test_a_request_that_is_too_long_ends_the_connection():
