@@ -122,7 +122,7 @@ class Service:
         self._recorder = None if bench.recorder is None else RecorderWatch(bench, log_line, about)
         self.model_watch = ModelWatch(path)
         self.railed_watch = RailedWatch(log_line)
-        self.proof = last_proof(bench, path)
+        self.proof = last_proof(bench, path, lambda: self._bench)
         self.last_check = LastCheck.of(bench)
         self.phase_watch = PhaseWatch(log_line)
 

@@ -10,6 +10,7 @@ from pymodbus.client import ModbusTcpClient
 from piezod.commissioning.proof import prove
 from piezod.commissioning.safe_stop import stop_directly
 from piezod.config import load_bench
+from piezod.daemon.proof_date import proven_sections
 from piezod.errors import BusyError, UsageError
 from piezod.session.heat_file import HeatFile
 from piezod.session.lock import BenchLock
@@ -52,7 +53,9 @@ def test_the_command_ends_with_0_where_every_step_passes(bench, tmp_path, probe)
         assert code == 0, text
         return json.loads(path.read_text(encoding="utf-8"))
 
-    assert repeated_after_standstills(probe, attempt)["passed"]
+    record = repeated_after_standstills(probe, attempt)
+    assert record["passed"]
+    assert record["proven"] == proven_sections(load_bench(bench.path))
     assert bench.device.ask("report")["wrong"] == []
 
 

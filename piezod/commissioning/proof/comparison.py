@@ -3,36 +3,7 @@
 The first run of a day (UTC) shows the bench as it was found, before any repair; the last one shows it as it was left.
 """
 
-import json
-from datetime import datetime
-from math import isfinite
-from pathlib import Path
 from typing import Any
-
-from piezod.config import BenchConfig
-from piezod.config.regular_file import open_regular
-from piezod.errors import PiezodError
-
-LARGEST_BYTES = 1 << 20  # largest record; a proof test has a few kilobytes
-_DATE = "%Y-%m-%dT%H:%M:%SZ"
-
-
-def earlier_records(bench: BenchConfig, folder: Path, now: datetime) -> list[dict[str, Any]]:
-    """Records of the bench from before `now`, oldest first; other files are ignored.
-
-    Parameters
-    ----------
-    folder
-        Folder of the records, `proof.folder`.
-    now
-        Begin of the present test, UTC.
-    """
-    records = [_record(path, bench.name) for path in folder.glob(f"{bench.name}-proof-*.json")]
-    before = f"{now:{_DATE}}"
-    return sorted(
-        (record for record in records if record is not None and record["date_utc"] < before),
-        key=lambda record: str(record["date_utc"]),
-    )
 
 
 def compare(record: dict[str, Any], earlier: list[dict[str, Any]]) -> dict[str, Any]:
@@ -41,7 +12,7 @@ def compare(record: dict[str, Any], earlier: list[dict[str, Any]]) -> dict[str, 
     Parameters
     ----------
     earlier
-        Earlier records, oldest first.
+        Records of the bench, oldest first; those that are not earlier are left out.
 
     Returns
     -------
@@ -49,6 +20,7 @@ def compare(record: dict[str, Any], earlier: list[dict[str, Any]]) -> dict[str, 
         `as_found_utc`, the date of the first record of the same day; `compared_with`, date, tester and result of the
         last earlier record, or None; `changes`, by the name of the step.
     """
+    earlier = [past for past in earlier if past["date_utc"] < record["date_utc"]]
     same_day = [past["date_utc"] for past in earlier if past["date_utc"][:10] == record["date_utc"][:10]]
     first_utc = same_day[0] if same_day else record["date_utc"]
     if not earlier:
@@ -93,21 +65,3 @@ def _change(before: dict[str, Any] | None, step: dict[str, Any]) -> dict[str, An
 
 def _share(measured: float | None, limit: float | None) -> float | None:
     return measured / limit if measured is not None and limit else None
-
-
-def _record(path: Path, name: str) -> dict[str, Any] | None:
-    """A record of the bench; None for any other file."""
-    try:
-        with open_regular(path, LARGEST_BYTES) as file:
-            record: dict[str, Any] = json.load(file)
-        datetime.strptime(record["date_utc"], _DATE)  # noqa: DTZ007  # only its form is checked
-        valid = record["bench"] == name and all(_is_step(step) for step in record["steps"])
-    except (PiezodError, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return None
-    return record if valid else None
-
-
-def _is_step(step: dict[str, Any]) -> bool:
-    numbers = [step["measured"], step["limit"]]
-    known = all(value is None or (isinstance(value, int | float) and isfinite(value)) for value in numbers)
-    return known and isinstance(step["name"], str) and isinstance(step["result"], str)

@@ -14,11 +14,10 @@ from piezod import __version__
 from piezod.commissioning.proof.comparison import change_text
 from piezod.commissioning.proof.coverage import coverage
 from piezod.config import BenchConfig
+from piezod.daemon.proof_date import DATE, SCHEMA, proven_sections
 from piezod.errors import ConfigurationError, UsageError
 from piezod.runtime.files import written
 from piezod.transport import Link
-
-SCHEMA = "piezod.proof/1"
 
 Result = Literal["pass", "fail", "skipped"]
 
@@ -140,9 +139,10 @@ def make_record(
         "bench": bench.name,
         "device": link.description,
         "identity": _identity(link),
+        "proven": proven_sections(bench),
         "version": __version__,
         "tester": tester or _user(),
-        "date_utc": f"{now:%Y-%m-%dT%H:%M:%SZ}",
+        "date_utc": f"{now:{DATE}}",
         "coverage": coverage(bench, {step.name: step.result for step in end.steps}),
         "steps": [_finite(asdict(step)) for step in end.steps],
         "left_at_rest": not end.rest_failure,

@@ -15,7 +15,7 @@ from typing import Any
 
 from piezod.commissioning.proof import device_steps, reading_steps
 from piezod.commissioning.proof.bench import ProofBench
-from piezod.commissioning.proof.comparison import compare, earlier_records
+from piezod.commissioning.proof.comparison import compare
 from piezod.commissioning.proof.record import (
     ProofEnd,
     ProofStep,
@@ -28,6 +28,7 @@ from piezod.commissioning.proof.record import (
 from piezod.commissioning.safe_stop import bring_to_rest
 from piezod.config import BenchConfig
 from piezod.control import ControlLoop, RateKeeper
+from piezod.daemon.proof_date import proof_records
 from piezod.daemon.run import drive
 from piezod.errors import CheckFailedError, PiezodError
 from piezod.session.assembly import load_bench_without_model
@@ -70,7 +71,7 @@ def prove(path: Path, output: Path | None = None, tester: str = "") -> tuple[dic
     if record is None:
         raise CheckFailedError(f"{path}: {outcome.fault or 'stopped before the proof test began'}; no record")
     folder = target.parent if bench.proof is None else path.parent / (bench.proof.folder or "")
-    record |= compare(record, earlier_records(bench, folder, now))
+    record |= compare(record, proof_records(folder, bench.name))
     write_record(record, target)
     return record, target
 

@@ -1,23 +1,23 @@
 """Comparison of a proof test with the one before."""
 
 import json
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
-from piezod.commissioning.proof.comparison import change_text, compare, earlier_records
+from piezod.commissioning.proof.comparison import change_text, compare
 from piezod.commissioning.proof.record import text_lines
 from piezod.config import load_bench
+from piezod.daemon.proof_date import SCHEMA, proof_records
 
 BENCH = load_bench(Path(__file__).parents[3] / "config" / "bench.yaml")
-NOW = datetime(2026, 11, 27, 12, 0, 0, tzinfo=UTC)
 
 
 def record(date, measured_ms=5.0, result="pass", tester="A. Tester", **fields):
     step = {"name": "force", "result": result, "measured": measured_ms, "limit": 20.0, "unit": "ms"}
     step |= {"time_ms": None, "detail": "force trip"}
     return {
+        "schema": SCHEMA,
         "bench": BENCH.name,
         "device": "emulator",
         "version": "1",
@@ -34,7 +34,7 @@ def write(folder, name, content):
     (folder / f"{BENCH.name}-proof-{name}.json").write_text(json.dumps(content), encoding="utf-8")
 
 
-def test_the_last_earlier_record_of_the_bench_is_found_and_strange_files_are_left_out(tmp_path):
+def test_the_records_of_the_bench_are_found_by_date_and_strange_files_are_left_out(tmp_path):
     write(tmp_path, "a", record("2026-11-26T08:00:00Z"))
     write(tmp_path, "b", record("2025-11-26T08:00:00Z"))
     write(tmp_path, "later", record("2026-11-28T08:00:00Z"))
@@ -42,8 +42,12 @@ def test_the_last_earlier_record_of_the_bench_is_found_and_strange_files_are_lef
     write(tmp_path, "list", [1])
     write(tmp_path, "text", record("2026-11-26T09:00:00Z", steps=[{"name": "force", "measured": "5", "limit": 1}]))
     write(tmp_path, "date", record("yesterday"))
-    found = earlier_records(BENCH, tmp_path, NOW)
-    assert [one["date_utc"] for one in found] == ["2025-11-26T08:00:00Z", "2026-11-26T08:00:00Z"]
+    write(tmp_path, "schema", record("2026-11-26T10:00:00Z", schema="piezod.findings/2"))
+    found = proof_records(tmp_path, BENCH.name)
+    dates = [one["date_utc"] for one in found]
+    assert dates == ["2025-11-26T08:00:00Z", "2026-11-26T08:00:00Z", "2026-11-28T08:00:00Z"]
+    compared = compare(record("2026-11-27T12:00:00Z"), found)
+    assert compared["compared_with"]["date_utc"] == "2026-11-26T08:00:00Z"
 
 
 @pytest.mark.parametrize(
