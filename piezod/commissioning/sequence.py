@@ -115,7 +115,7 @@ def plan_sequence(config: Path, path: Path) -> SequencePlan:
 
 
 def remove_results(output: Path) -> None:
-    """Remove the results of an earlier run: whoever finds results of a run that was killed must not take these for its.
+    """Remove the results of an earlier run: they must not pass for the results of a run that was killed.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Files and sockets that a bench file names: rules for their replacement, and access to them.
+"""Files and sockets of a running program: the folders of this user, rules for replacement, and access.
 
 piezod replaces and removes only its own files. Mode and group are set explicitly, independent of the umask.
 """
@@ -16,9 +16,48 @@ from piezod.config.regular_file import open_regular
 from piezod.errors import BusyError, ConfigurationError
 from piezod.runtime import sockets
 
+SERVICE = Path("/run/piezod")  # `RuntimeDirectory` of the service, made by systemd
+LOGIN = Path("/run/user")  # holds the folder of each user who has logged in
+SHARED = Path("/dev/shm")  # noqa: S108  # every user can make folders in it
+MOST_FOLDERS = 10  # names that are tried in `SHARED`, if other users have made folders of these names
+FOLDER_MODE = 0o700
 FILE_MODE = 0o640  # mode of every run-time file: the owner writes, the group reads
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.ENOMEM, errno.EFBIG, errno.EMFILE, errno.ENFILE)
 """Errors of a machine that is out of space or descriptors now, and may not be later."""
+
+
+def own_folders() -> list[Path]:
+    """Folders for files that no other user may make or open; those of `LOGIN` and `SHARED` are made if missing.
+
+    A folder of another user, and a link, is not used. Two programs of a user have at least one folder in common: so a
+    lock is taken in each.
+
+    Returns
+    -------
+    list
+        The folder of the service, of the login, and in shared memory. Empty: none can be had.
+    """
+    user = os.geteuid()
+    numbered = [SHARED / f"piezod-{user}{f'-{number}' if number else ''}" for number in range(MOST_FOLDERS)]
+    shared = next(filter(_is_own_folder, numbered), None) or next(filter(_made_folder, numbered), None)
+    login = LOGIN / str(user)
+    usable = [SERVICE] if _is_own_folder(SERVICE) else []
+    usable += [login / "piezod"] if _is_own_folder(login) and _made_folder(login / "piezod") else []
+    return usable + ([shared] if shared is not None else [])
+
+
+def _is_own_folder(folder: Path) -> bool:
+    try:
+        status = folder.lstat()
+    except OSError:
+        return False
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid() and not status.st_mode & 0o022
+
+
+def _made_folder(folder: Path) -> bool:
+    with contextlib.suppress(OSError):
+        folder.mkdir(FOLDER_MODE)
+    return _is_own_folder(folder)
 
 
 def is_own_file(path: Path, key: str, magic: bytes, head_bytes: int = 0) -> bool:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from piezod.config import load_bench
+from piezod.config.run_time_files import SERVICE, SHARED
 from piezod.daemon.stop_path import COMMANDS as URGENT
 from piezod.daemon.stop_path import urge
 from piezod.errors import CheckFailedError, TemporaryError, UnreachableError, UsageError
@@ -16,7 +17,7 @@ ANSWER_WITHIN_S = 15.0  # longest time to wait for an answer of the daemon [s]
 URGE_WITHIN_S = 2.0  # longest time to wait for the stop socket [s]
 POLL_INTERVAL_S = 0.1  # time between two status requests while the bench arms or ramps down [s]
 QUEUE_INTERVAL_S = 0.01  # time between two attempts to connect while other clients wait to be accepted [s]
-_FOLDERS = (Path("/run/piezod"), Path("/dev/shm"))  # noqa: S108  # default folders of the daemon's socket
+_FOLDERS = (SERVICE, SHARED)  # default folders of the daemon's socket
 _MOVING = ("ARMING", "RAMP_DOWN")
 
 

@@ -109,9 +109,8 @@ def last_proof(bench: BenchConfig, path: Path, present: Callable[[], BenchConfig
     done = [one for one in records if one["date_utc"] <= now and one["steps"]]
     if not done or not _has_passed(done[-1]):
         return ProofDate(bench.proof.interval_days, None)
-    proven = done[-1].get("proven")
-    sections = proven if isinstance(proven, dict) else {}
-    return ProofDate(bench.proof.interval_days, _date(done[-1]), sections, lambda: proven_sections(present()))
+    proven = dict(done[-1].get("proven", {}))
+    return ProofDate(bench.proof.interval_days, _date(done[-1]), proven, lambda: proven_sections(present()))
 
 
 def proof_records(folder: Path, name: str) -> list[dict[str, Any]]:
@@ -166,9 +165,10 @@ def _record(path: Path, name: str) -> dict[str, Any] | None:
         with open_regular(path, LARGEST_BYTES) as file:
             record: dict[str, Any] = json.load(file)
         named = (record["schema"], record["bench"], f"{_date(record):{DATE}}") == (SCHEMA, name, record["date_utc"])
-        return record if named and all(_is_step(step) for step in record["steps"]) else None
+        known = isinstance(record.get("proven", {}), dict) and all(_is_step(step) for step in record["steps"])
     except (PiezodError, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
+    return record if named and known else None
 
 
 def _is_step(step: dict[str, Any]) -> bool:

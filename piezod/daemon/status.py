@@ -140,19 +140,19 @@ def status_text(status: dict[str, Any]) -> str:
         "interlocks": _counts_text,
         "drift": _drift_text,
         "learning": _learning_text,
+        "rail": _rail_text,
+        "proof": proof_text,
+        "check": check_text,
+        "recorder": _recorder_text,
     }
     texts = [text_of(status[name]) for name, text_of in sections.items() if status.get(name)]
     lines += [f"  {text}" for text in texts if text]
-    rail = status.get("rail")
-    if rail and rail["railed"]:
-        lines.append(f"  reference: RAILED; not reachable, the voltage is at a limit for {rail['lasted_s']:.1f} s")
-    if (proof := status.get("proof")) and (due := proof_text(proof)):
-        lines.append(f"  {due}")
-    if check := status.get("check"):
-        lines.append(f"  {check_text(check)}")
-    if recorder := status.get("recorder"):
-        lines.append(f"  {_recorder_text(recorder)}")
     return "\n".join(lines)
+
+
+def _rail_text(rail: dict[str, Any]) -> str:
+    lasted = f"reference: RAILED; not reachable, the voltage is at a limit for {rail['lasted_s']:.1f} s"
+    return lasted if rail["railed"] else ""
 
 
 def missed_text(status: dict[str, Any]) -> str:

@@ -6,7 +6,7 @@ take a lock. Programs of two users on one device are detected at the device (`co
 
 Only the kernel tells whether a lock is held: its holder may live in another namespace of process numbers, stand still,
 or have lost the content of its file. The process number in the file serves messages. A stop opens the file of another
-user as root, and passes it otherwise.
+user as root. It passes a file that it cannot open, so a file or folder of another user blocks no stop.
 """
 
 import contextlib
@@ -20,15 +20,12 @@ from pathlib import Path
 from typing import Any
 
 from piezod.config import BenchConfig
-from piezod.config.run_time_files import NO_SPACE
+from piezod.config.run_time_files import LOGIN, NO_SPACE, SERVICE, SHARED, own_folders
 from piezod.errors import BusyError, ConfigurationError, PiezodError, TemporaryError
 from piezod.runtime import clock, descriptors, processes
 from piezod.session.device_names import device_names
 
-DEVICE_LOCKS = Path("/dev/shm")  # noqa: S108  # holds the folder of each user
 MODE = 0o600
-FOLDER_MODE = 0o700
-MOST_FOLDERS = 10  # names that are tried for the folder of a user, if another user has made a folder of that name
 _RETRY_S = 0.05
 _CONTENT = re.compile(rb"[0-9]{0,10}\n?")  # process number of the holder
 
@@ -46,7 +43,7 @@ class BenchLock:
     wait_s
         Longest time to wait for another holder [s].
     stopping
-        Whether the bench will only be brought to rest; then the file of another user is passed.
+        Whether the bench will only be brought to rest; then a file that cannot be opened is passed.
 
     Raises
     ------
@@ -79,9 +76,9 @@ class BenchLock:
         """
         deadline_s = clock.monotonic() + wait_s
         for name in devices:
-            path = device_lock_path(name)
-            if path not in self._held:
-                self._acquire(path, "device", deadline_s)
+            for path in device_lock_paths(name, stopping=self._stopping):
+                if path not in self._held:
+                    self._acquire(path, "device", deadline_s)
 
     def restore(self) -> bool:
         """Make lock files again that somebody has removed; False if another program has taken one in the meantime.
@@ -96,8 +93,8 @@ class BenchLock:
             if not _is_at(self._held[path], path):
                 former = self._held[path]
                 try:
-                    if path.parent.parent == DEVICE_LOCKS:
-                        _own_folder()
+                    if not path.parent.is_dir():
+                        own_folders()
                     self._acquire(path, "bench", clock.monotonic())
                 except BusyError:
                     return False
@@ -161,36 +158,29 @@ def lock_bench(bench: BenchConfig, wait_s: float = 0.0, *, stopping: bool = Fals
     return lock
 
 
-def device_lock_path(name: str) -> Path:
-    """Path of the lock file of a device.
+def device_lock_paths(name: str, *, stopping: bool = False) -> list[Path]:
+    """Paths of the lock files of a device, one in each folder of this user.
 
     Parameters
     ----------
     name
         Name of the device, from `device_names`.
-    """
-    readable = re.sub(r"[^A-Za-z0-9.]+", "-", name)[:80]
-    return _own_folder() / f"{readable}-{hashlib.sha256(name.encode()).hexdigest()[:8]}.lock"
-
-
-def _own_folder() -> Path:
-    """The folder of this user for lock files, made if it is missing.
+    stopping
+        As in `BenchLock`; then no folder is needed.
 
     Raises
     ------
     ConfigurationError
-        Other users have made folders of every name that is tried.
+        No folder belongs to this user alone.
     """
-    user = os.geteuid()
-    for number in range(MOST_FOLDERS):
-        folder = DEVICE_LOCKS / f"piezod-{user}{f'-{number}' if number else ''}"
-        with contextlib.suppress(FileExistsError):
-            folder.mkdir(FOLDER_MODE)
-        status = folder.lstat()
-        if stat.S_ISDIR(status.st_mode) and status.st_uid == user:
-            folder.chmod(FOLDER_MODE)
-            return folder
-    raise ConfigurationError(f"{DEVICE_LOCKS}: other users have made piezod-{user} and its like; remove them")
+    readable = re.sub(r"[^A-Za-z0-9.]+", "-", name)[:80]
+    folders, user = own_folders(), os.geteuid()
+    if not folders and not stopping:
+        raise ConfigurationError(
+            f"no folder for locks: {SERVICE} and {LOGIN / str(user)} are not of user {user}, and others have made "
+            f"{SHARED}/piezod-{user} and its like; remove those"
+        )
+    return [folder / f"{readable}-{hashlib.sha256(name.encode()).hexdigest()[:8]}.lock" for folder in folders]
 
 
 def _inherited(duplicates: dict[Path, Any]) -> BenchLock:
@@ -209,7 +199,7 @@ def _lock(path: Path, what: str, deadline_s: float, *, stopping: bool) -> int | 
     while True:
         try:
             descriptor = _open(path, any_owner=stopping and os.geteuid() == 0)
-        except BusyError:
+        except PiezodError:
             if stopping:
                 return None
             raise
@@ -273,6 +263,3 @@ def _open_error(path: Path, error: OSError) -> ConfigurationError | TemporaryErr
     if error.errno in NO_SPACE:
         return TemporaryError(f"{text}; free some space")
     return ConfigurationError(f"{text}; check its folder")
-
-
-__all__ = ["BenchLock", "device_lock_path", "lock_bench"]

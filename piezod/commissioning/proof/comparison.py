@@ -12,7 +12,7 @@ def compare(record: dict[str, Any], earlier: list[dict[str, Any]]) -> dict[str, 
     Parameters
     ----------
     earlier
-        Records of the bench, oldest first; those that are not earlier are left out.
+        Records of the bench, oldest first; later records are ignored.
 
     Returns
     -------

@@ -1,6 +1,5 @@
 """The dated record of a proof test: bench, device, version, and each step with its measured value and limit."""
 
-import json
 import os
 import pwd
 from collections.abc import Iterator
@@ -16,7 +15,6 @@ from piezod.commissioning.proof.coverage import coverage
 from piezod.config import BenchConfig
 from piezod.daemon.proof_date import DATE, SCHEMA, proven_sections
 from piezod.errors import ConfigurationError, UsageError
-from piezod.runtime.files import written
 from piezod.transport import Link
 
 Result = Literal["pass", "fail", "skipped"]
@@ -149,17 +147,6 @@ def make_record(
         "remark": end.rest_failure or ("interrupted" if end.interrupted else ""),
         "passed": passed,
     }
-
-
-def write_record(record: dict[str, Any], path: Path) -> None:
-    """Write the record, complete or not at all.
-
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be written.
-    """
-    written(path, json.dumps(record, indent=2) + "\n")
 
 
 def text_lines(record: dict[str, Any]) -> Iterator[str]:

@@ -8,6 +8,7 @@ The test is driven by a service, as all that drives: `piezod stop` and `piezod s
 rest in any case, also after Ctrl-C. The record is written even when a step fails.
 """
 
+import json
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
@@ -23,7 +24,6 @@ from piezod.commissioning.proof.record import (
     make_record,
     record_path,
     utc_now,
-    write_record,
 )
 from piezod.commissioning.safe_stop import bring_to_rest
 from piezod.config import BenchConfig
@@ -31,6 +31,7 @@ from piezod.control import ControlLoop, RateKeeper
 from piezod.daemon.proof_date import proof_records
 from piezod.daemon.run import drive
 from piezod.errors import CheckFailedError, PiezodError
+from piezod.runtime.files import written
 from piezod.session.assembly import load_bench_without_model
 from piezod.transport import Link
 
@@ -72,7 +73,7 @@ def prove(path: Path, output: Path | None = None, tester: str = "") -> tuple[dic
         raise CheckFailedError(f"{path}: {outcome.fault or 'stopped before the proof test began'}; no record")
     folder = target.parent if bench.proof is None else path.parent / (bench.proof.folder or "")
     record |= compare(record, proof_records(folder, bench.name))
-    write_record(record, target)
+    written(target, json.dumps(record, indent=2) + "\n")
     return record, target
 
 

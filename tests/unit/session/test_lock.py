@@ -10,14 +10,14 @@ from unittest.mock import MagicMock
 import pytest
 
 from piezod.commissioning.shipped_files import shipped
-from piezod.config import load_bench
+from piezod.config import load_bench, run_time_files
 from piezod.config.link import SerialLineLink
 from piezod.config.sections import DaemonConfig
 from piezod.errors import BusyError, ConfigurationError
 from piezod.runtime import sockets
 from piezod.session import control_process
 from piezod.session.device_names import device_names
-from piezod.session.lock import BenchLock, device_lock_path, lock_bench
+from piezod.session.lock import BenchLock, device_lock_paths, lock_bench
 from piezod.session.task import Task
 
 
@@ -144,7 +144,7 @@ def error_of_control_process(task, lock, monkeypatch):
 
 
 def test_two_bench_files_of_one_device_exclude_each_other_and_a_started_process_checks_again(tmp_path, monkeypatch):
-    monkeypatch.setattr("piezod.session.lock.DEVICE_LOCKS", tmp_path)
+    monkeypatch.setattr("piezod.config.run_time_files.SHARED", tmp_path)
     first, second = (
         load_bench(shipped("bench.yaml")).model_copy(
             update={"daemon": DaemonConfig(ring_log=str(tmp_path / name)), "link": tcp(host)}
@@ -163,7 +163,7 @@ def test_two_bench_files_of_one_device_exclude_each_other_and_a_started_process_
 
 
 def test_a_second_bench_of_the_same_device_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("piezod.session.lock.DEVICE_LOCKS", tmp_path)
+    monkeypatch.setattr("piezod.config.run_time_files.SHARED", tmp_path)
     first = BenchLock(tmp_path / "a.lock")
     first.cover(device_names(tcp()))
     second = BenchLock(tmp_path / "b.lock")
@@ -179,7 +179,7 @@ def test_a_second_bench_of_the_same_device_is_refused(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("which", ["bench", "device"])
 def test_a_removed_lock_file_is_made_again(tmp_path, monkeypatch, which):
-    monkeypatch.setattr("piezod.session.lock.DEVICE_LOCKS", tmp_path)
+    monkeypatch.setattr("piezod.config.run_time_files.SHARED", tmp_path)
     lock = BenchLock(tmp_path / "a.lock")
     lock.cover(device_names(tcp()))
     path = list(lock._held)[which == "device"]
@@ -203,7 +203,7 @@ def test_a_lock_that_another_program_took_after_its_removal_is_lost(tmp_path):
 
 
 def test_no_other_user_can_open_a_lock_file(tmp_path, monkeypatch):
-    monkeypatch.setattr("piezod.session.lock.DEVICE_LOCKS", tmp_path)
+    monkeypatch.setattr("piezod.config.run_time_files.SHARED", tmp_path)
     lock = BenchLock(tmp_path / "x.lock")
     lock.cover(device_names(tcp()))
     assert {path.stat().st_mode & 0o777 for path in lock._held} == {0o600}
@@ -222,10 +222,87 @@ def test_the_lock_file_of_another_user_keeps_out_a_start_and_no_stop(tmp_path, m
 
 
 def test_a_folder_that_another_user_has_made_is_not_used(tmp_path, monkeypatch):
-    monkeypatch.setattr("piezod.session.lock.DEVICE_LOCKS", tmp_path)
+    monkeypatch.setattr("piezod.config.run_time_files.SHARED", tmp_path)
     (tmp_path / f"piezod-{os.geteuid()}").mkdir()
     os.chown(tmp_path / f"piezod-{os.geteuid()}", 12345, -1)
-    assert device_lock_path("x").parent == tmp_path / f"piezod-{os.geteuid()}-1"
+    assert device_lock_paths("x")[0].parent == tmp_path / f"piezod-{os.geteuid()}-1"
+
+
+def squat(folder, numbers, kind="folder of another user"):
+    """Make what another user can make at the names of the folders of this user."""
+    for number in numbers:
+        path = folder / f"piezod-{os.geteuid()}{f'-{number}' if number else ''}"
+        if kind == "link":
+            path.symlink_to(folder)
+        elif kind == "file":
+            path.touch()
+        else:
+            path.mkdir(0o777 if kind == "open folder" else 0o700)
+            path.chmod(0o777 if kind == "open folder" else 0o700)
+            os.chown(path, os.geteuid() if kind == "open folder" else 12345, -1)
+
+
+def bench_in(folder):
+    return load_bench(shipped("bench.yaml")).model_copy(
+        update={"daemon": DaemonConfig(ring_log=str(folder / "ring")), "link": tcp("127.0.0.1")}
+    )
+
+
+@pytest.mark.parametrize("kind", ["folder of another user", "link", "file", "open folder"])
+def test_folders_of_every_name_keep_out_a_start_with_one_line_and_no_stop(tmp_path, monkeypatch, kind):
+    monkeypatch.setattr("piezod.config.run_time_files.SHARED", tmp_path)
+    squat(tmp_path, range(run_time_files.MOST_FOLDERS), kind)
+    with pytest.raises(ConfigurationError, match=r"no folder for locks: .*remove those") as caught:
+        lock_bench(bench_in(tmp_path))
+    assert "\n" not in str(caught.value)
+    lock_bench(bench_in(tmp_path), stopping=True).close()
+
+
+@pytest.mark.parametrize("kind", ["folder", "link", "fifo", "file", "no folder"])
+def test_whatever_stands_at_the_lock_of_the_bench_no_stop_is_blocked(tmp_path, monkeypatch, kind):
+    monkeypatch.setattr("piezod.config.run_time_files.SHARED", tmp_path)
+    bench = bench_in(tmp_path / "none" if kind == "no folder" else tmp_path)
+    path = bench.lock_path
+    {
+        "folder": path.mkdir,
+        "link": lambda: path.symlink_to("/etc/passwd"),
+        "fifo": lambda: os.mkfifo(path),
+        "file": lambda: path.write_text("precious"),
+        "no folder": lambda: None,
+    }[kind]()
+    with pytest.raises(ConfigurationError):
+        lock_bench(bench)
+    lock_bench(bench, stopping=True).close()
+
+
+def test_the_folder_of_the_service_or_of_the_login_serves_where_others_have_taken_the_shared_ones(
+    tmp_path, monkeypatch
+):
+    for name in ("SERVICE", "LOGIN", "SHARED"):
+        (tmp_path / name).mkdir()
+        monkeypatch.setattr(f"piezod.config.run_time_files.{name}", tmp_path / name)
+    squat(tmp_path / "SHARED", range(run_time_files.MOST_FOLDERS))
+    assert run_time_files.own_folders() == [tmp_path / "SERVICE"]
+    (tmp_path / "LOGIN" / str(os.geteuid())).mkdir()
+    os.chown(tmp_path / "SERVICE", 12345, -1)
+    assert run_time_files.own_folders() == [tmp_path / "LOGIN" / str(os.geteuid()) / "piezod"]
+    lock_bench(bench_in(tmp_path)).close()
+
+
+def test_programs_that_see_other_folders_have_one_lock_in_common(tmp_path, monkeypatch):
+    monkeypatch.setattr("piezod.config.run_time_files.SHARED", tmp_path)
+    squat(tmp_path, [0, 1])
+    (tmp_path / "a").mkdir()
+    first = lock_bench(bench_in(tmp_path / "a"))
+    for number in (0, 1):  # the other user makes room for a lower number
+        (tmp_path / f"piezod-{os.geteuid()}{f'-{number}' if number else ''}").rmdir()
+    (tmp_path / "service").mkdir()
+    monkeypatch.setattr("piezod.config.run_time_files.SERVICE", tmp_path / "service")
+    (tmp_path / "b").mkdir()
+    with pytest.raises(BusyError, match="drives or watches this device"):
+        lock_bench(bench_in(tmp_path / "b"))
+    first.close()
+    lock_bench(bench_in(tmp_path / "b")).close()
 
 
 @pytest.mark.parametrize("content", ["", "999999\n"], ids=["emptied", "of another namespace of process numbers"])
