@@ -18,7 +18,7 @@ from piezod.control.rate_keeper import RateKeeper
 from piezod.control.references import LiveReference
 from piezod.control.segment_planner import Segment, SegmentPlanner
 from piezod.control.sign_check import SignCheck
-from piezod.control.states import Cause, State
+from piezod.control.states import Cause, Event, State
 from piezod.control.supervisor import Supervisor
 from piezod.control.voltage_writer import VoltageWriter
 from piezod.recording.ring_log import RingLog
@@ -170,9 +170,8 @@ class ControlLoop:
             segment.reference.counts = ring_log.counters
 
     def arm(self, segment: Segment) -> None:
-        """Start `segment` from the voltage that is read back; no effect unless the state is DISARMED."""
-        if self.supervisor.state is not State.DISARMED:
-            return
+        """Start `segment` from the voltage that is read back; refused unless the state is DISARMED."""
+        self.supervisor.require(Event.ARM)
         readback_V = self._link.reading.voltage_readback_V
         self._start_from(readback_V if isfinite(readback_V) else self._safe_V)
         self.begin(segment)
@@ -298,11 +297,11 @@ class ControlLoop:
         if event is Cause.REFERENCE_REACHED:
             supervisor.start_running()
         elif event is Cause.REFERENCE_LIVE:
-            supervisor.resume()
+            supervisor.apply(Event.LIVE, event)
         elif segment.reference.ramp_down_on_lapse:
             supervisor.stop(event)
         else:
-            supervisor.hold(event)
+            supervisor.apply(Event.LAPSED, event)
 
     def _exchange(self, planned_V: float, begun_ns: int) -> ExchangeResult:
         """Write and commit while voltages are driven; only read otherwise."""

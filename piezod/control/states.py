@@ -1,6 +1,18 @@
-"""The states of the control loop, and the causes of a transition with their remedies."""
+"""The states of the control loop, what each may write, and the causes of a transition with their remedies.
 
-from enum import IntEnum
+`TRANSITIONS` is the whole state machine. The loop uses this table, the manual (`systemd/README.md`) shows it, and the
+simulation compares every history with it. It has two rules:
+
+- An event that the table does not have for the present state raises `CheckFailedError` and changes nothing. In the loop
+  that is a fault of the controller: the output ramps down. A client that sent the command gets the error.
+- A state writes what `MAY_WRITE` says, and a transition acts from the next write on.
+
+The limits decide whether an event comes (`supervisor.py`). The order of authority sets the rate of a ramp
+(`authority.py`). `STOP` and `TRIP` may come in each state: a stop has no precondition, and a device that is only read
+may show anything. Only an operator causes `ARM` and `RESET`.
+"""
+
+from enum import Enum, IntEnum
 
 
 class State(IntEnum):
@@ -16,6 +28,69 @@ class State(IntEnum):
     HOLD = 3
     RAMP_DOWN = 4
     FAULT = 5
+
+
+class Event(Enum):
+    """Event that may change the state; its value is its name in the manual."""
+
+    ARM = "arm"
+    REACHED = "reference reached"
+    LAPSED = "reference lapsed"
+    LIVE = "reference live"
+    STOP = "stop"
+    TRIP = "fault"
+    AT_REST = "at rest"
+    LATCHED = "fault ramp ended"
+    RESET = "reset"
+    LEFT = "stop of a left output"
+
+
+class Write(Enum):
+    """Voltage that a state may write; its value stands in the manual."""
+
+    NOTHING = "nothing"
+    PLANNED = "planned voltage"
+    HELD = "last voltage"
+    LOWER = "lower voltage"
+
+
+TRANSITIONS = {
+    (State.DISARMED, Event.ARM): State.ARMING,
+    (State.DISARMED, Event.LEFT): State.RAMP_DOWN,
+    (State.DISARMED, Event.STOP): State.DISARMED,
+    (State.DISARMED, Event.TRIP): State.DISARMED,
+    (State.ARMING, Event.REACHED): State.RUNNING,
+    (State.ARMING, Event.LAPSED): State.ARMING,
+    (State.ARMING, Event.STOP): State.RAMP_DOWN,
+    (State.ARMING, Event.TRIP): State.RAMP_DOWN,
+    (State.RUNNING, Event.LAPSED): State.HOLD,
+    (State.RUNNING, Event.STOP): State.RAMP_DOWN,
+    (State.RUNNING, Event.TRIP): State.RAMP_DOWN,
+    (State.HOLD, Event.LIVE): State.RUNNING,
+    (State.HOLD, Event.LAPSED): State.HOLD,
+    (State.HOLD, Event.STOP): State.RAMP_DOWN,
+    (State.HOLD, Event.TRIP): State.RAMP_DOWN,
+    (State.RAMP_DOWN, Event.AT_REST): State.DISARMED,
+    (State.RAMP_DOWN, Event.LATCHED): State.FAULT,
+    (State.RAMP_DOWN, Event.STOP): State.RAMP_DOWN,
+    (State.RAMP_DOWN, Event.TRIP): State.RAMP_DOWN,
+    (State.FAULT, Event.RESET): State.DISARMED,
+    (State.FAULT, Event.LEFT): State.RAMP_DOWN,
+    (State.FAULT, Event.STOP): State.FAULT,
+    (State.FAULT, Event.TRIP): State.FAULT,
+}
+"""Next state, for each state and each event that may come in it."""
+
+MAY_WRITE = {
+    State.DISARMED: Write.NOTHING,
+    State.ARMING: Write.PLANNED,
+    State.RUNNING: Write.PLANNED,
+    State.HOLD: Write.HELD,
+    State.RAMP_DOWN: Write.LOWER,
+    State.FAULT: Write.NOTHING,
+}
+DRIVING = tuple(state for state, write in MAY_WRITE.items() if write is not Write.NOTHING)
+"""States that write a voltage in each tick."""
 
 
 class Cause(IntEnum):

@@ -1,10 +1,7 @@
-"""The supervisor: the state machine of the control loop, with every reason to change its state.
+"""The supervisor: every reason to change the state of the control loop (`states.py: TRANSITIONS`).
 
-    DISARMED -> ARMING -> RUNNING <-> HOLD -> RAMP_DOWN -> DISARMED
-                                 fault ----> RAMP_DOWN -> FAULT (latched)
-
-In DISARMED and FAULT the loop only reads. Only an operator arms the bench or resets a fault. A device that drives its
-output by itself (its watchdog tripped, it restarted) leads straight to FAULT: a voltage written then would be a jump.
+A device that drives its output by itself (its watchdog tripped, it restarted) leads straight to FAULT: a voltage
+written then would be a jump.
 """
 
 from math import ceil, inf, nan
@@ -21,14 +18,23 @@ from piezod.control.interlocks import (
     TrackingInterlock,
 )
 from piezod.control.leaky_count import WRONG, CountedInterlock, LeakyCount, cells_of
-from piezod.control.states import CAUSE_TEXT, DANGERS, DEVICE_HAS_TAKEN_OVER, Cause, State
+from piezod.control.states import (
+    CAUSE_TEXT,
+    DANGERS,
+    DEVICE_HAS_TAKEN_OVER,
+    DRIVING,
+    TRANSITIONS,
+    Cause,
+    Event,
+    State,
+)
+from piezod.errors import CheckFailedError
 from piezod.transport import Reading
 from piezod.transport.status import STATUS_FAULTS, STATUS_MAINS_LOST, STATUS_OVER_TEMPERATURE, STATUS_WATCHDOG
 
 __all__ = ["CAUSE_TEXT", "Cause", "State", "Supervisor"]
 
 SILENCES = 5.0  # failed exchanges that trip where no number is set, as multiple of those of a silence of `comm_loss_ms`
-_FOLLOWING = (State.ARMING, State.RUNNING, State.HOLD)
 
 
 class Supervisor:
@@ -51,12 +57,14 @@ class Supervisor:
         True when the last good reading is older than `stale_after_ms`. The loop then keeps the voltage.
     cause
         Cause of the last transition.
+    fault
+        Latched fault; `Cause.NONE` without a fault.
     """
 
     def __init__(self, limits: LimitsConfig, dt_s: float = 1e-3) -> None:
         self._last_good_ns = self._armed_ns = self._planned_ns = 0
         self._bad_in_a_row = 0
-        self._fault = Cause.NONE
+        self.fault = Cause.NONE
         self._fast_stop = False
         self._watchdog_of_before = False
         self.readings_stale = self.amplifier_tripped = False
@@ -124,7 +132,7 @@ class Supervisor:
     @property
     def driving(self) -> bool:
         """Whether voltages are written in this tick."""
-        return self.state in _FOLLOWING or self.state is State.RAMP_DOWN
+        return self.state in DRIVING
 
     @property
     def demand(self) -> Demand:
@@ -132,9 +140,9 @@ class Supervisor:
         if self.state is State.RAMP_DOWN:
             if self._fast_stop:
                 return Demand.STOP
-            if self.amplifier_tripped or self._fault in self._dangers:
+            if self.amplifier_tripped or self.fault in self._dangers:
                 return Demand.DANGER
-            if self._fault is not Cause.NONE:
+            if self.fault is not Cause.NONE:
                 return Demand.FAULT
             return Demand.SUSPECT if self.force.suspect else Demand.DISARM
         return Demand.SUSPECT if self.force.suspect else Demand.REFERENCE
@@ -152,13 +160,8 @@ class Supervisor:
         left_ns = self._last_good_ns + self._comm_loss_ns - now_ns
         return 1e-9 * left_ns if left_ns > 0 and self.driving else inf
 
-    @property
-    def fault(self) -> Cause:
-        """Latched fault; `Cause.NONE` without a fault."""
-        return self._fault
-
     def arm(self, now_ns: int, planned_ns: int = 0) -> None:
-        """DISARMED -> ARMING; no effect in any other state.
+        """DISARMED -> ARMING.
 
         Parameters
         ----------
@@ -167,23 +170,21 @@ class Supervisor:
         planned_ns
             Planned duration of ARMING [ns]; `limits.arming_timeout_s` counts after it.
         """
-        if self.state is State.DISARMED and self._fault is Cause.NONE:
-            self._last_good_ns = self._armed_ns = now_ns
-            self._planned_ns = planned_ns
-            self._bad_in_a_row = 0
-            self._fast_stop = self.readings_stale = self.amplifier_tripped = False
-            self._watchdog_of_before = True  # it may have tripped earlier; the first command clears it
-            for count in (self._missed, self._failed):
-                count.clear()
-            for interlock in self._cleared:
-                interlock.clear()
-            self._go(State.ARMING, Cause.ARMED)
+        self.apply(Event.ARM, Cause.ARMED)
+        self._last_good_ns = self._armed_ns = now_ns
+        self._planned_ns = planned_ns
+        self._bad_in_a_row = 0
+        self._fast_stop = self.readings_stale = self.amplifier_tripped = False
+        self._watchdog_of_before = True  # it may have tripped earlier; the first command clears it
+        for count in (self._missed, self._failed):
+            count.clear()
+        for interlock in self._cleared:
+            interlock.clear()
 
     def start_running(self) -> None:
         """ARMING -> RUNNING: the output has reached the first reference."""
-        if self.state is State.ARMING:
-            self._watchdog_of_before = False
-            self._go(State.RUNNING, Cause.REFERENCE_REACHED)
+        self.apply(Event.REACHED, Cause.REFERENCE_REACHED)
+        self._watchdog_of_before = False
 
     def stop(self, cause: Cause = Cause.STOPPED, *, fast: bool = False) -> None:
         """Ramp down and disarm.
@@ -194,57 +195,45 @@ class Supervisor:
             Ramp down as fast as the slew limit allows.
         """
         self._fast_stop = self._fast_stop or fast
-        if self.state in _FOLLOWING:
-            self._go(State.RAMP_DOWN, cause)
+        self.apply(Event.STOP, cause)
 
     def bring_down(self, now_ns: int) -> None:
         """DISARMED or FAULT -> RAMP_DOWN at the monotonic time `now_ns` [ns], for an output that nobody drives.
 
         A latched fault stays latched.
         """
-        if self.state in (State.DISARMED, State.FAULT):
-            self._last_good_ns = now_ns
-            self._bad_in_a_row = 0
-            self._watchdog_of_before = False
-            self._go(State.RAMP_DOWN, Cause.STOPPED)
-
-    def hold(self, cause: Cause) -> None:
-        """RUNNING -> HOLD: keep the voltage, because of `cause`."""
-        if self.state is State.RUNNING:
-            self._go(State.HOLD, cause)
-
-    def resume(self) -> None:
-        """HOLD -> RUNNING: the reference is live again."""
-        if self.state is State.HOLD and not self.readings_stale:
-            self._go(State.RUNNING, Cause.REFERENCE_LIVE)
+        self.apply(Event.LEFT, Cause.STOPPED)
+        self._last_good_ns = now_ns
+        self._bad_in_a_row = 0
+        self._watchdog_of_before = False
 
     def trip(self, cause: Cause) -> None:
         """Latch the fault `cause` and ramp down; end at once when the device has taken over its output."""
-        if self.driving and self._fault is Cause.NONE:
-            self._fault = cause
-            self._go(State.RAMP_DOWN, cause)
-        if cause in DEVICE_HAS_TAKEN_OVER:
+        first = self.driving and self.fault is Cause.NONE
+        self.apply(Event.TRIP, cause)
+        if first:
+            self.fault = self.cause = cause
+        if cause in DEVICE_HAS_TAKEN_OVER and self.driving:
             self.end_ramp_down()
 
     def end_ramp_down(self) -> None:
         """RAMP_DOWN -> DISARMED, or -> FAULT when a fault is latched."""
-        if self.state is State.RAMP_DOWN:
-            if self._fault is Cause.NONE:
-                self._go(State.DISARMED, Cause.SAFE)
-            else:
-                self._go(State.FAULT, self._fault)
+        if self.fault is Cause.NONE:
+            self.apply(Event.AT_REST, Cause.SAFE)
+        else:
+            self.apply(Event.LATCHED, self.fault)
 
     def reset(self, *, at_rest: bool) -> None:
-        """FAULT -> DISARMED; only a command of an operator calls it. No effect in another state or off rest.
+        """FAULT -> DISARMED; only a command of an operator calls it. No effect off rest.
 
         Parameters
         ----------
         at_rest
             Whether the output is at the safe voltage.
         """
-        if self.state is State.FAULT and at_rest:
-            self._fault = Cause.NONE
-            self._go(State.DISARMED, Cause.RESET)
+        if at_rest:
+            self.apply(Event.RESET, Cause.RESET)
+            self.fault = Cause.NONE
 
     def check_pause(self, pause_ns: int) -> None:
         """Trip when this process has paused too long; call it before a voltage is written.
@@ -258,7 +247,8 @@ class Supervisor:
         """
         if self._watchdog_ns and pause_ns >= self._watchdog_ns:
             self.trip(Cause.STOOD_STILL)
-            self.end_ramp_down()
+            if self.driving:
+                self.end_ramp_down()
         elif pause_ns > self._comm_loss_ns:
             self.trip(Cause.STOOD_STILL)
 
@@ -306,8 +296,8 @@ class Supervisor:
                 self.readings_stale = True
         if silent_ns + ahead_ns > self._comm_loss_ns:
             self.trip(Cause.COMM_LOSS)
-        holds = self._holds_on_comm_loss and self._fault is Cause.COMM_LOSS
-        if self._fault is not Cause.NONE and (holds or silent_ns > self._give_up_ns):
+        holds = self._holds_on_comm_loss and self.fault is Cause.COMM_LOSS
+        if self.driving and self.fault is not Cause.NONE and (holds or silent_ns > self._give_up_ns):
             self.end_ramp_down()
 
     def check_reading(self, force_N: float, status: int, now_ns: int = 0, temperature_C: float = nan) -> None:
@@ -333,8 +323,8 @@ class Supervisor:
             self.trip(_device_fault(status))
         elif status & STATUS_WATCHDOG and not self._watchdog_of_before:
             self.trip(Cause.DEVICE_WATCHDOG)
-        else:
-            self.trip_on(self._device.check(status, now_ns) or self._temperature.check(temperature_C, now_ns))
+        elif cause := self._device.check(status, now_ns) or self._temperature.check(temperature_C, now_ns):
+            self.trip(cause)
 
     def check_response(self, reading: Reading, written_V: float, reference_N: float, now_ns: int) -> None:
         """Trip when the readings do not follow the written voltages, or the stack gets too hot.
@@ -365,14 +355,24 @@ class Supervisor:
         elif self.driving and (self._missed.add() or missed_in_a_row >= self._most_missed):
             self.trip(Cause.MISSED_TICKS)
 
-    def trip_on(self, cause: Cause) -> None:
-        """Trip unless the cause is `Cause.NONE`."""
-        if cause:
-            self.trip(cause)
+    def require(self, event: Event) -> State:
+        """Next state for an event.
 
-    def _go(self, state: State, cause: Cause) -> None:
-        self.state = state
-        self.cause = cause
+        Raises
+        ------
+        CheckFailedError
+            The event may not come in the present state.
+        """
+        state = TRANSITIONS.get((self.state, event))
+        if state is None:
+            raise CheckFailedError(f"{event.value}: may not come in state {self.state.name}; nothing was changed")
+        return state
+
+    def apply(self, event: Event, cause: Cause) -> None:
+        """Change the state by an event; the cause of an event that leaves it is not noted."""
+        state = self.require(event)
+        if state is not self.state:
+            self.state, self.cause = state, cause
 
 
 def _device_fault(status: int) -> Cause:

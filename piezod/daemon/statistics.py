@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.control import CAUSE_TEXT, Cause, State
+from piezod.control.states import DRIVING
 from piezod.recording.age import ValueAge
 from piezod.recording.ticks import GOOD, pair_rows
 from piezod.session.history import is_tracking
@@ -14,7 +15,6 @@ from piezod.transport import ExchangeResult
 
 BOUNDS_S = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2, 0.1)
 """Upper bounds of the histogram bins [s]."""
-_DRIVING = (State.ARMING, State.RUNNING, State.HOLD, State.RAMP_DOWN)
 
 
 class TrackingError:
@@ -145,7 +145,7 @@ class TickStatistics:
         self.results += np.bincount(rows["result"], minlength=self.results.size)
         self.lateness.add(rows["lateness_ns"])
         self.exchange.add(rows["exchange_ns"])
-        self.was_driving = self.was_driving or bool(np.isin(rows["state"], _DRIVING).any())
+        self.was_driving = self.was_driving or bool(np.isin(rows["state"], DRIVING).any())
         self.tracking.add(rows)
         for row in rows[np.flatnonzero(np.diff(rows["state"], prepend=self._state))]:
             self._state = State(row["state"])

@@ -167,7 +167,7 @@ class Envelope(RuleBasedStateMachine):
 
     @rule()
     def reset(self):
-        self.loop.supervisor.reset(at_rest=True)
+        self.loop.supervisor.reset(at_rest=self.state is State.FAULT)
 
     @rule(share=st.floats(0.3, 1.0))
     def tighten(self, share):

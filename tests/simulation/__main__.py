@@ -34,9 +34,11 @@ def main():
     seeds = range(wanted.first, wanted.first + wanted.seeds) if wanted.seed is None else [wanted.seed]
     warm_up()
     begun_s, virtual_s, used_s, failed = time.monotonic(), 0.0, 0.0, 0
+    transitions = 0
     for seed in seeds:
         plan = draw(seed, wanted.seconds)
         result = run(plan, print if wanted.trace else None)
+        transitions += result.observed.get("transitions", 0)
         virtual_s, used_s = virtual_s + result.seconds, used_s + result.real_s
         if wanted.hash:
             print(f"{seed} {result.digest}")
@@ -49,7 +51,7 @@ def main():
                 break
     real_s = time.monotonic() - begun_s
     print(
-        f"{len(seeds)} histories, {virtual_s:.0f} virtual seconds in {real_s:.1f} s, "
+        f"{len(seeds)} histories, {transitions} transitions, {virtual_s:.0f} virtual seconds in {real_s:.1f} s, "
         f"{virtual_s / max(used_s, 1e-9):.1f} virtual seconds a processor second, {failed} with violations"
     )
     return 1 if failed else 0

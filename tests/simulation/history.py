@@ -15,7 +15,8 @@ from pathlib import Path
 import yaml
 
 from firmware_sim.firmware.device import IDENTITY
-from piezod.control import RingReader, State
+from piezod.control import ROW_DTYPE, RingLog, RingReader, State
+from piezod.control.states import DRIVING as DRIVEN
 from piezod.daemon.client import Client
 from piezod.daemon.run import run_foreground
 from piezod.daemon.stop_path import urge
@@ -31,6 +32,7 @@ from tests.simulation.machine import BOOTED_NS, SECOND, Machine, Process, Thread
 from tests.simulation.serial_line import BAUDRATE, make_network
 from tests.simulation.sockets import LOOPBACK, Kernel
 from tests.simulation.spawning import Spawning
+from tests.simulation.trace import Trace
 
 ROOT = Path(__file__).parents[2]
 BENCH = ROOT / "config" / "bench.yaml"
@@ -69,7 +71,7 @@ STEADY_FROM_V = 10.0
 STEADY_SHARE = 0.7  # of the time of the ramp: the reference may fall by 15 V until it begins
 STATE_OF_METRICS = re.compile(r'piezod_state\{bench="[^"]*",state="(\w+)"\} 1\.0')
 STALE_METRICS = b'piezod_stale{bench="emulator"} 1.0'
-DRIVEN = (State.ARMING, State.RUNNING, State.HOLD, State.RAMP_DOWN)
+TICK, STATE, CAUSE = (ROW_DTYPE.names.index(name) for name in ("tick", "state", "cause"))
 
 
 class History:
@@ -99,6 +101,15 @@ class History:
             machine, plan.seed % 97, slew_V_per_s=SLEW_V_PER_S, dt_s=1 / plan.rate_Hz, effects=plan.effects
         )
         self.network = make_network(plan, machine, self.kernel, self.amplifier, folder, PORT)
+        self.traces = {}  # of the control processes
+        self.network.sees = lambda data, framing: self.trace().send(data, framing)
+        append = RingLog.append
+
+        def log(ring_log, *row):
+            append(ring_log, *row)
+            self.trace().add(row[TICK], row[STATE], row[CAUSE])
+
+        RingLog.append = log
         self.path = folder / "bench.yaml"
         self.text = self.write_bench()
         self.service = None
@@ -233,6 +244,7 @@ class History:
                 "recording", f"acknowledged rows lost, by session: {lost}; rows twice or out of order: {wrong}"
             )
         self.judge()
+        self.observed["transitions"] = sum(trace.transitions for trace in self.traces.values())
 
     @property
     def alive(self):
@@ -280,6 +292,13 @@ class History:
             self.machine.after(round(LOOK_S * SECOND), lambda: self._arms_itself(service))
         else:
             self.arm_ends("arm")
+
+    def trace(self):
+        """Trace of the present process."""
+        process = self.machine.process
+        if process not in self.traces:
+            self.traces[process] = Trace(lambda text: self.violate("trace", text))
+        return self.traces[process]
 
     # what holds ---------------------------------------------------------------------------------------------------
 

@@ -116,6 +116,7 @@ class Network:
         self.random = machine.random
         self.frames = self.connected = self.forgeries = self.idle_ns = 0
         self.replies = b"", b""  # the last two good ones
+        self.sees = lambda data, framing: None  # called with the bytes of the service
         self.held = {"request": b"", "reply": b""}  # frames that wait for the next one of their direction
 
     def connect(self, socket, stream):
@@ -151,6 +152,8 @@ class Network:
     def fate(self, way, data, connection):
         """Delays [ns] and parts in which `data` arrives."""
         self.frames += 1
+        if way == "request":
+            self.sees(data, self.framing)
         if way == "reply":
             self.replies = self.replies[1], data
         delay_ns = LEAST_DELAY_NS + int(self.random.random() ** 3 * SPREAD_NS)

@@ -2,15 +2,18 @@
 
 import importlib.util
 import json
+import struct
 from pathlib import Path
 
 import pytest
 
+from piezod.control import Cause, State
 from tests.simulation.holes import HOLES
 from tests.simulation.plan import Event, Plan, draw
 from tests.simulation.row_history import RowHistory
 from tests.simulation.runs import run, warm_up
 from tests.simulation.shrinking import shrink
+from tests.simulation.trace import Trace
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -18,7 +21,7 @@ def _warm():
     warm_up()
 
 
-@pytest.mark.parametrize("seed", [1, 10, 1040])
+@pytest.mark.parametrize("seed", [1, 12, 1040])
 def test_a_seed_has_one_history(seed):
     first, second = run(draw(seed, 6.0)), run(draw(seed, 6.0))
     assert first.violations == []
@@ -43,6 +46,38 @@ def test_an_amplifier_that_stays_on_after_a_kill_is_a_violation():
     events = (Event(2.0, "arm"), Event(3.0, "watchdog", (0,)), Event(3.001, "kill_all"))
     result = run(Plan(1, 8.0, events=events))
     assert [kind for kind, *_ in result.violations] == ["rest"]
+
+
+def request(voltage_V):
+    """A Modbus/TCP request that writes the voltage register."""
+    return b"\0\1\0\0\0\x0b\1\x10\0\x64\0\2\4" + struct.pack(">f", voltage_V)
+
+
+RISEN = [(1, State.ARMING, Cause.ARMED, 20.0), (2, State.RUNNING, Cause.REFERENCE_REACHED, 30.0)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "text"),
+    [
+        ([*RISEN, (3, State.RAMP_DOWN, Cause.STOPPED, 29.0), (4, State.RAMP_DOWN, Cause.STOPPED, 28.0)], None),
+        ([(1, State.DISARMED, Cause.NONE, 0.0)], "tick 1: 0.000 V sent in DISARMED, which writes nothing"),
+        ([*RISEN, (3, State.FAULT, Cause.REFERENCE_LIVE, None)], "RUNNING -> FAULT by REFERENCE_LIVE: not in"),
+        ([*RISEN, (3, State.DISARMED, Cause.STOPPED, None)], "RUNNING -> DISARMED by STOPPED: not in"),
+        ([*RISEN, (3, State.HOLD, Cause.REFERENCE_STALE, 30.0), (4, State.HOLD, Cause.REFERENCE_STALE, 31.0)],
+         "tick 4: 30.000 V, then 31.000 V sent in HOLD"),
+        ([*RISEN, (3, State.RAMP_DOWN, Cause.OVER_FORCE, 29.0), (4, State.RAMP_DOWN, Cause.OVER_FORCE, 29.5)],
+         "tick 4: 29.000 V, then 29.500 V sent in RAMP_DOWN"),
+    ],
+)  # fmt: skip
+def test_rows_and_voltages_that_the_table_of_states_does_not_have_are_discrepancies(rows, text):
+    found = []
+    trace = Trace(found.append)
+    for tick, state, cause, voltage_V in rows:
+        if voltage_V is not None:
+            trace.send(request(voltage_V), "tcp")
+        trace.add(tick, state, cause)
+    assert [one for one in found if text is None or text not in one] == []
+    assert bool(found) == (text is not None)
 
 
 @pytest.mark.parametrize("number", range(40))

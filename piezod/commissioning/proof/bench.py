@@ -366,7 +366,7 @@ class ProofBench:
     def _arm(self, segment: Segment) -> None:
         """Check every precondition, then arm with the segment; the fault of an earlier step is reset at rest."""
         loop = self._loop
-        loop.supervisor.reset(at_rest=loop.at_rest)
+        loop.supervisor.reset(at_rest=loop.at_rest and loop.supervisor.state is State.FAULT)
         if self.interrupted or loop.supervisor.state is not State.DISARMED:
             raise CheckFailedError("proof: interrupted")
         check_ready_to_arm(self.bench, self.link)

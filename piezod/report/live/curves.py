@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from piezod.arrays import Array
 from piezod.control import State
+from piezod.control.states import DRIVING
 from piezod.recording.ticks import GOOD, pair_rows
 from piezod.report.figures.thinning import envelope, envelope_times
 
@@ -14,7 +15,6 @@ Rows = NDArray[np.void]
 
 OVER_TIME = ("time_ms", "reference_N", "force_N", "error_N", "voltage_V")
 LOOP = ("voltage_V", "force_N")
-_DRIVING = (State.ARMING, State.RUNNING, State.HOLD, State.RAMP_DOWN)
 _FOLLOWING = (State.RUNNING, State.HOLD)
 
 
@@ -92,7 +92,7 @@ class Curves:
         self.over_time.add(columns)
         selected = (np.arange(count) + self._phase) % self._every == 0
         self._phase = (self._phase + count) % self._every
-        selected &= np.isin(commands["state"], _DRIVING) & (answers["result"] == GOOD)
+        selected &= np.isin(commands["state"], DRIVING) & (answers["result"] == GOOD)
         self.loop.add({"voltage_V": commands["voltage_V"][selected], "force_N": answers["force_N"][selected]})
 
 

@@ -3,7 +3,9 @@
 import pytest
 
 from piezod.control.authority import Demand
+from piezod.control.states import Event
 from piezod.control.supervisor import Cause, State, Supervisor
+from piezod.errors import CheckFailedError
 from tests.unit.control.test_limits import limits
 
 MS = 1_000_000
@@ -23,7 +25,8 @@ def test_a_force_above_the_trip_ramps_down_and_latches():
     assert (supervisor.state, supervisor.cause) == (State.RAMP_DOWN, Cause.OVER_FORCE)
     supervisor.end_ramp_down()
     assert supervisor.state is State.FAULT
-    supervisor.arm(0)
+    with pytest.raises(CheckFailedError, match="arm: may not come in state FAULT"):
+        supervisor.arm(0)
     assert supervisor.state is State.FAULT
     supervisor.reset(at_rest=True)
     assert supervisor.state is State.DISARMED
@@ -232,17 +235,17 @@ def test_an_exchange_may_last_until_the_silence_is_a_loss_and_without_limit_whil
 
 def test_a_reset_acts_in_the_state_fault_at_rest_and_nowhere_else():
     supervisor = Supervisor(limits())
-    supervisor.reset(at_rest=True)
-    assert (supervisor.state, supervisor.cause) == (State.DISARMED, Cause.NONE)
-    supervisor.arm(0)
-    supervisor.reset(at_rest=True)
-    assert supervisor.state is State.ARMING
-    supervisor.start_running()
-    supervisor.reset(at_rest=True)
-    assert supervisor.state is State.RUNNING
-    supervisor.trip(Cause.OVER_FORCE)
-    supervisor.reset(at_rest=True)
-    assert (supervisor.state, supervisor.fault) == (State.RAMP_DOWN, Cause.OVER_FORCE)
+    for lead, state in (
+        (lambda: None, State.DISARMED),
+        (lambda: supervisor.arm(0), State.ARMING),
+        (supervisor.start_running, State.RUNNING),
+        (lambda: supervisor.trip(Cause.OVER_FORCE), State.RAMP_DOWN),
+    ):
+        lead()
+        with pytest.raises(CheckFailedError, match=f"reset: may not come in state {state.name}"):
+            supervisor.reset(at_rest=True)
+        assert supervisor.state is state
+    assert supervisor.fault is Cause.OVER_FORCE
     supervisor.end_ramp_down()
     supervisor.reset(at_rest=False)
     assert (supervisor.state, supervisor.fault) == (State.FAULT, Cause.OVER_FORCE)
@@ -251,7 +254,11 @@ def test_a_reset_acts_in_the_state_fault_at_rest_and_nowhere_else():
 
 
 def test_a_stop_ramps_down_from_every_state_that_drives():
-    for lead in (lambda _: None, Supervisor.start_running, lambda one: (one.start_running(), one.hold(Cause.ARMED))):
+    for lead in (
+        lambda _: None,
+        Supervisor.start_running,
+        lambda one: (one.start_running(), one.apply(Event.LAPSED, Cause.REFERENCE_ENDED)),
+    ):
         supervisor = Supervisor(limits())
         supervisor.arm(0)
         lead(supervisor)
