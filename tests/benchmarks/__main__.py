@@ -20,7 +20,6 @@ BENCHMARKS = (
     "whole_tick",
     "service",
     "memory",
-    "solvers",
     "identification",
     "commands",
 )

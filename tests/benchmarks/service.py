@@ -61,10 +61,11 @@ def measure(*, quick: bool) -> Iterator[Row]:
     yield Row("service", "SIGTERM while driving to the end", "ms", float(np.median(stop_ms)), note="with its ramp down")
 
 
-def bench_file(folder: Path, address: peers.Address) -> Path:
+def bench_file(folder: Path, address: peers.Address, rate_Hz: float = 1000.0) -> Path:
     content = yaml.safe_load(shipped("bench.yaml").read_text(encoding="utf-8"))
+    content["rate_Hz"] = rate_Hz
     content["link"] |= {"host": address.host, "port": address.port, "timeout_s": 0.5}
-    content["limits"] |= PATIENCE
+    content["limits"] |= PATIENCE | {"stale_after_ms": max(5.0, 4e3 / rate_Hz)}
     content["arming"] |= {"reset_cycle": False}
     content["model"] = str(shipped("model.yaml"))
     content["daemon"] = {"ring_log": str(folder / "ring")}

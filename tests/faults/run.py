@@ -60,6 +60,7 @@ CONTROL_S = 1.0
 NOT_JUDGED = "not judged"  # how such a reason to skip a fault begins
 EXCESS_DELAY = {"behind_ms": STILL_MS}  # of a wake-up [ms]; beyond, a failure is repeated
 
+FIELDS = ("id", "fault", "expected", "observed", "after", "bound", "verdict")
 COLUMNS = "{id:<4} {fault:<52.52} {expected:<17.17} {observed:<10.10} {after:>9} {bound:>8}  {verdict}"
 
 
@@ -210,15 +211,7 @@ def _once(fault: Fault, pool) -> Result:
 
 def header() -> str:
     """Names of the columns."""
-    return COLUMNS.format(
-        id="id",
-        fault="fault",
-        expected="expected",
-        observed="observed",
-        after="after",
-        bound="bound",
-        verdict="verdict",
-    )
+    return COLUMNS.format(**{name: name for name in FIELDS})
 
 
 def summary(results: list[Result]) -> str:

@@ -186,17 +186,13 @@ class Amplifier:
     def violations(self):
         """Texts of what the judge found, each kind once."""
         judge, device = self.bench.judge, self.device
-        found = []
-        if device.bursts:
-            found.append(
-                ("burst", self._machine.time_s, f"{MOST_SHORT + 1} commands within {SHORT * MOST_SHORT:g} ticks")
-            )
-        if device.outside:
-            found.append(("range", self._machine.time_s, f"{device.outside} commands outside {device.range_V} V"))
-        if device.alternations:
-            found.append(("masters", self._machine.time_s, "two services command the device in turn"))
-        if device.to_stranger:
-            found.append(("stranger", self._machine.time_s, f"{device.to_stranger} commands to another device"))
+        counts = (
+            ("burst", device.bursts, f"times {MOST_SHORT + 1} commands within {SHORT * MOST_SHORT:g} ticks"),
+            ("range", device.outside, f"commands outside {device.range_V} V"),
+            ("masters", device.alternations, "times two services command the device in turn"),
+            ("stranger", device.to_stranger, "commands to another device"),
+        )
+        found = [(kind, self._machine.time_s, f"{count} {text}") for kind, count, text in counts if count]
         for kind, at, value, text in (
             ("range", RANGE_STEP, RANGE_V, "output {:.3f} V out of its range"),
             ("slew", SLEW_STEP, SLEW_V, "output faster than its slew, by {:.3f} V in a step"),

@@ -27,13 +27,7 @@ FAULT = (Event.TRIP, Event.LATCHED)  # events of every other cause
 
 
 class Trace:
-    """What one control process logs and sends.
-
-    Parameters
-    ----------
-    violate
-        Called with a text of each discrepancy.
-    """
+    """What one control process logs and sends; `violate` is called with the text of each discrepancy."""
 
     def __init__(self, violate):
         self._violate = violate

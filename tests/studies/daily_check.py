@@ -20,8 +20,9 @@ import yaml
 from piezod.errors import PiezodError
 from piezod.recording.ring_log import RingReader
 from tests.benchmarks import modbus_peers as peers
+from tests.benchmarks.service import bench_file
 from tests.benchmarks.table import NotMeasuredError
-from tests.studies.soak import Soaked, _arm, _bench_file, _connected, _ended, _follow, _percentile_us, _service
+from tests.studies.soak import Soaked, _arm, _connected, _ended, _follow, _percentile_us, _service
 
 DRIVEN_S = 25.0  # before the check: its shortest drive is 20 s
 BEHIND = ["nice", "-n", "19", "chrt", "--idle", "0", "ionice", "-c", "3"]
@@ -43,7 +44,7 @@ def run_bench(seconds: float, rate_Hz: float, *, checked: bool) -> Run:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="piezod-check-")))
         with peers.device_priority():
             address = stack.enter_context(peers.emulator("tcp", "real"))
-        bench = _bench_file(folder, address, rate_Hz)
+        bench = bench_file(folder, address, rate_Hz)
         content = yaml.safe_load(bench.read_text(encoding="utf-8"))
         content["recorder"] = {"folder": str(folder / "recordings")}
         bench.write_text(yaml.safe_dump(content), encoding="utf-8")

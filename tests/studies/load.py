@@ -24,12 +24,12 @@ from piezod.daemon.client import Client
 from piezod.errors import PiezodError
 from piezod.recording.ring_log import RingReader
 from tests.benchmarks import modbus_peers as peers
+from tests.benchmarks.service import bench_file
 from tests.benchmarks.table import NotMeasuredError
 from tests.studies.soak import (
     Process,
     Soaked,
     _arm,
-    _bench_file,
     _connected,
     _control_pid,
     _ended,
@@ -74,7 +74,7 @@ def run_bench(seconds: float, rate_Hz: float, *, loaded: bool) -> Loaded:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="piezod-load-")))
         with peers.device_priority():
             address = stack.enter_context(peers.emulator("tcp", "real"))
-        bench = _bench_file(folder, address, rate_Hz)
+        bench = bench_file(folder, address, rate_Hz)
         if loaded:
             content = yaml.safe_load(bench.read_text(encoding="utf-8"))
             content["recorder"] = {"folder": str(folder / "recordings")}

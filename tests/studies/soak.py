@@ -20,14 +20,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import yaml
 
-from piezod.commissioning.shipped_files import shipped
 from piezod.control import Cause, State
 from piezod.daemon.client import Client
 from piezod.errors import PiezodError, TemporaryError
 from piezod.recording.ring_log import RingReader
 from tests.benchmarks import modbus_peers as peers
+from tests.benchmarks.service import bench_file
 from tests.benchmarks.table import Row, header
 
 PRIORITY = 80
@@ -41,7 +40,6 @@ MIB = 2**20
 DEADLINES = {Cause.MISSED_TICKS}
 
 # Limits that a standstill of the machine of 0.1 s does not exceed.
-PATIENCE = {"comm_loss_ms": 2000, "device_watchdog_ms": 1000, "missed_ticks_in_a_row": 500}
 
 
 @dataclass
@@ -135,7 +133,7 @@ def soak(duration_s: float, rate_Hz: float, *, on_look: Callable[[Soaked], None]
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         with peers.device_priority():
             address = stack.enter_context(peers.emulator("tcp", "real"))
-        bench = _bench_file(folder, address, rate_Hz)
+        bench = bench_file(folder, address, rate_Hz)
         process = stack.enter_context(_ended(_service(bench)))
         client = _connected(bench, process, stack)
         for _ in range(os.cpu_count() or 1):
@@ -291,19 +289,6 @@ def _drive_again(soaked: Soaked, client: Client) -> None:
     if status["state"] == "DISARMED":
         with contextlib.suppress(PiezodError):
             client.ask("arm")
-
-
-def _bench_file(folder: Path, address: peers.Address, rate_Hz: float) -> Path:
-    content = yaml.safe_load(shipped("bench.yaml").read_text(encoding="utf-8"))
-    content["rate_Hz"] = rate_Hz
-    content["link"] |= {"host": address.host, "port": address.port, "timeout_s": 0.5}
-    content["limits"] |= PATIENCE | {"stale_after_ms": max(5.0, 4e3 / rate_Hz)}
-    content["arming"] |= {"reset_cycle": False}
-    content["model"] = str(shipped("model.yaml"))
-    content["daemon"] = {"ring_log": str(folder / "ring")}
-    path = folder / "bench.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return path
 
 
 def _service(bench: Path) -> subprocess.Popen[bytes]:

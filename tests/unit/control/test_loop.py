@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from piezod.control import Cause, Segment, State, TableReference
-from piezod.control.authority import Demand
 from piezod.control.references import Freshness
 from piezod.model import DirectDrive
 from piezod.operators import ImplicitInverse, PrandtlIshlinskii
