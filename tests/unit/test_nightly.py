@@ -9,6 +9,7 @@ import pytest
 
 from tests import nightly
 from tests.nightly import MOST_COMMITS, Command, Row, commands, read, refusals, reported, unfinished, work, write
+from tests.simulation import mutations
 
 
 def git(folder, *arguments):
@@ -150,3 +151,16 @@ def test_a_command_that_ignores_its_end_is_killed(tmp_path, monkeypatch):
     monkeypatch.setattr(nightly, "ROOT", tmp_path)
     monkeypatch.setattr(nightly, "ENDED_S", 0.2)
     assert nightly.run([sys.executable, "-c", program], 2.0) == (None, "on\n")
+
+
+def test_each_mutated_module_has_unit_tests():
+    """Without them pytest ends with an error, which would look as if a test had found the mutation."""
+    for module, room in mutations.MODULES.items():
+        name = module.rpartition(".")[2]
+        file = f"test_{mutations.NAMED_OTHERWISE.get(name, name)}.py"
+        assert (mutations.ROOT / "tests" / "unit" / room / file).exists(), f"{module}: {file} is missing"
+
+
+@pytest.mark.parametrize("left_s", [10.0, 3 * mutations.WITHIN_S - 1.0])
+def test_a_mutation_is_not_judged_by_the_end_of_the_time(left_s):
+    assert nightly.Mutation(mutations.every()[0]).run("c", left_s) is None
