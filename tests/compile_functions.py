@@ -23,6 +23,7 @@ from piezod.identify.identification import identify
 from piezod.identify.options import Options
 from piezod.model import save_model
 from piezod.recording import Recording, write_csv
+from tests.simulation.runs import warm_up
 
 ROOT = Path(__file__).parents[1]
 RATE_HZ, PEAK_V = 200.0, 130.0
@@ -38,7 +39,7 @@ def record(path, voltage_V, effects):
 
 
 def main():
-    """Identify a bench, diagnose a changed one, and make a small concealed study."""
+    """Identify a bench, diagnose a changed one, make a small concealed study, and drive one step with a judge."""
     begun_s = time.monotonic()
     for package in ("piezod", "firmware_sim"):
         compileall.compile_dir(ROOT / package, quiet=1)
@@ -53,6 +54,7 @@ def main():
         save_model(identified.model, folder / "model.yaml")
         diagnose_files([folder / "work.csv"], folder / "model.yaml", folder / "out", None, None, lambda *_: None)
         make(folder / "study", STUDY_CASES, seed=STUDY_SEED)
+    warm_up()
     print(f"compiled in {time.monotonic() - begun_s:.0f} s")
 
 
