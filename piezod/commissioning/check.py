@@ -6,7 +6,6 @@ and `check_device.py` the device.
 
 import os
 from collections.abc import Callable, Iterator
-from ipaddress import ip_address
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,6 +14,7 @@ from piezod.commissioning.check_machine import check_configuration_file, check_m
 from piezod.commissioning.check_reference import check_distances, check_reference
 from piezod.commissioning.check_result import Check
 from piezod.config import BenchConfig, load_bench, model_path
+from piezod.config.host_name import address_of
 from piezod.config.link import ModbusTcpLink, RtuOverTcpLink
 from piezod.control import check_safeguards
 from piezod.daemon.preview import missing_preview
@@ -60,11 +60,8 @@ def check_bench(path: Path) -> list[Check]:
         checks.extend(check_distances(bench, model))
         checks.extend(check_reference(bench, model, path.parent))
     checks.extend(check_configuration_file(path))
-    checks.extend(_arming(bench))
-    checks.extend(_network(bench))
-    checks.extend(check_ports(bench))
-    checks.extend(check_machine(bench))
-    checks.extend(check_device(bench))
+    for part in (_arming, _network, check_ports, check_machine, check_device):
+        checks.extend(part(bench))
     return checks
 
 
@@ -165,17 +162,11 @@ def check_ports(bench: BenchConfig) -> Iterator[Check]:
     for name, link in (("link", bench.link), ("load_cell_link", bench.load_cell_link)):
         port = getattr(link, "port", None)
         if isinstance(port, str) and not is_allowed_in_service(port):
-            device = os.path.realpath(port)
-            yield Check(
-                "service",
-                "WARN",
-                f"{name}.port is {port}, which piezod.service does not allow",
-                f"systemctl edit piezod.service, and add: [Service] DeviceAllow={device} rw",
-            )
+            finding = f"{name}.port is {port}, which piezod.service does not allow"
+            remedy = f"systemctl edit piezod.service, and add: [Service] DeviceAllow={os.path.realpath(port)} rw"
+            yield Check("service", "WARN", finding, remedy)
 
 
 def _is_loopback(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+    address = address_of(host)
+    return host == "localhost" if address is None else address.is_loopback

@@ -51,13 +51,11 @@ def _values(bench: BenchConfig, link: Link) -> Iterator[Check]:
     """Check force, voltage read-back and heartbeat of the last reading."""
     reading = link.reading
     limits = bench.limits
-    inside = limits.force_min_N <= reading.force_N <= limits.force_trip_N
-    yield Check(
-        "force",
-        "OK" if inside else "FAIL",
-        f"{reading.force_N:.3g} N, limits {limits.force_min_N:g} to {limits.force_trip_N:g} N",
-        "" if inside else "check preload, tare, scale and byte order",
-    )
+    finding = f"{reading.force_N:.3g} N, limits {limits.force_min_N:g} to {limits.force_trip_N:g} N"
+    if limits.force_min_N <= reading.force_N <= limits.force_trip_N:
+        yield Check("force", "OK", finding)
+    else:
+        yield Check("force", "FAIL", finding, "check preload, tare, scale and byte order")
     if isnan(reading.voltage_readback_V):
         yield Check("voltage read-back", "WARN", "the device has none", "a wrong output cannot be noticed")
     else:

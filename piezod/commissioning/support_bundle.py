@@ -17,7 +17,6 @@ import platform
 import sys
 import time
 import zipfile
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ import numpy as np
 
 from piezod import __version__
 from piezod.config import BenchConfig, load_bench, model_path, read_document
+from piezod.config.host_name import address_of
 from piezod.config.keys import all_values, effective_text
 from piezod.control import CAUSE_TEXT, ROW_DTYPE, Cause, RingReader, State
 from piezod.daemon.client import Client
@@ -114,10 +114,8 @@ def _commands(link: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _private(host: str) -> bool:
-    try:
-        return not ip_address(host).is_global
-    except ValueError:
-        return host == "localhost"
+    address = address_of(host)
+    return host == "localhost" if address is None else not address.is_global
 
 
 def _redacted(value: object, secrets: set[str]) -> Any:  # noqa: ANN401  # any value of JSON

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Collection
-from ipaddress import ip_address
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from typing import Annotated
 from urllib.parse import urlsplit
 
@@ -26,12 +26,17 @@ def check_host(host: str) -> str:
     ValueError
         The name holds a space, a port or an address of the web, has an empty label, or is too long.
     """
-    try:
-        ip_address(host.partition("%")[0])
-    except ValueError:
-        if reason := _reason(host):
-            raise ValueError(f"no host has the name {host[:LONGEST_LABEL]!r}: {reason}") from None
+    if address_of(host) is None and (reason := _reason(host)):
+        raise ValueError(f"no host has the name {host[:LONGEST_LABEL]!r}: {reason}")
     return host
+
+
+def address_of(host: str) -> IPv4Address | IPv6Address | None:
+    """Address that a host is given by; None: it is given by a name."""
+    try:
+        return ip_address(host.partition("%")[0])
+    except ValueError:
+        return None
 
 
 def _reason(host: str) -> str:

@@ -1,12 +1,11 @@
 """The `link` section: connection to amplifier and load cell, and their register maps."""
 
-from ipaddress import ip_address
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from piezod.config.checked import Section
-from piezod.config.host_name import HostName
+from piezod.config.host_name import HostName, address_of
 
 WordOrder = Literal["AB", "BA", "ABCD", "CDAB", "BADC", "DCBA"]
 RegisterType = Literal["int16", "uint16", "int32", "float32"]
@@ -217,10 +216,8 @@ class ModbusTcpLink(_ModbusLink):
 
 def _is_routable(address: str) -> bool:
     """Whether an address is one of the public network; False for a name."""
-    try:
-        return ip_address(address.partition("%")[0]).is_global
-    except ValueError:
-        return False
+    parsed = address_of(address)
+    return parsed is not None and parsed.is_global
 
 
 def _plaintext_refusal(name: str, address: str, remedy: str) -> str:

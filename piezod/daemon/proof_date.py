@@ -106,11 +106,10 @@ def last_proof(bench: BenchConfig, path: Path, present: Callable[[], BenchConfig
         return None
     records = proof_records(path.parent / (bench.proof.folder or ""), bench.name)
     now = f"{_now():{DATE}}"
-    done = [one for one in records if one["date_utc"] <= now and one["steps"]]
-    if not done or not _has_passed(done[-1]):
+    last = next((one for one in reversed(records) if one["date_utc"] <= now and one["steps"]), None)
+    if last is None or not _has_passed(last):
         return ProofDate(bench.proof.interval_days, None)
-    proven = dict(done[-1].get("proven", {}))
-    return ProofDate(bench.proof.interval_days, _date(done[-1]), proven, lambda: proven_sections(present()))
+    return ProofDate(bench.proof.interval_days, _date(last), last.get("proven", {}), lambda: proven_sections(present()))
 
 
 def proof_records(folder: Path, name: str) -> list[dict[str, Any]]:

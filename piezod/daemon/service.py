@@ -361,7 +361,7 @@ class Service:
         made, problems = [], []
         for name, restore in (
             ("lock", self._restore_lock),
-            ("socket", self._restore_control_socket),
+            ("socket", lambda _: self._control_socket.restore()),
             ("stop socket", self._restore_stop_path),
             ("ring log", self._restore_ring_log),
         ):
@@ -388,9 +388,6 @@ class Service:
             if session is not None:
                 session.stop()
         return False
-
-    async def _restore_control_socket(self, _: Session | None) -> bool:
-        return await self._control_socket.restore()
 
     async def _restore_stop_path(self, _: Session | None) -> bool:
         """Listen for a stop again; ramp down, and again if armed, while nobody can stop the bench."""

@@ -103,7 +103,7 @@ class SequenceVerdict:
 
     @property
     def interruption(self) -> str:
-        """What ended the session before its end; empty: nothing."""
+        """Cause of an early end of the session; empty: it reached its end."""
         if self.outcome.fault:
             return f"FAULT: {self.outcome.fault}"
         return "stopped by the user" if self.outcome.stopped else ""
@@ -201,8 +201,8 @@ def sequence_text(verdict: SequenceVerdict) -> str:
 def junit_xml(verdict: SequenceVerdict) -> str:
     """Format the verdict as JUnit XML: one test case for each limit of each step, and one for the end of the session.
 
-    What was not measured is a failure: a reader of such files takes a skipped test for a passed one. Source of the
-    form: github.com/testmoapp/junitxml.
+    A limit that was not measured is a failure: a reader of such files takes a skipped test for a passed one. Source of
+    the form: github.com/testmoapp/junitxml.
     """
     failures = sum(item.result != "passed" for item in verdict.results) + bool(verdict.interruption)
     numbers = {

@@ -39,7 +39,7 @@ def service_of(files):
         return files.lock_is_free
 
     service._lock = type("Lock", (), {"restore": staticmethod(lock)})
-    service._restore_control_socket = lambda _: step("socket")
+    service._control_socket = type("Socket", (), {"restore": lambda _: step("socket")})()
     service._restore_stop_path = lambda _: step("stop socket")
     service._restore_ring_log = lambda _: step("ring log")
     return service
