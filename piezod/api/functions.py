@@ -260,19 +260,22 @@ def diagnose(
         recording, sha256 = recording_of(given)
         converted, notes = in_units_of(recording, columns)
         sources.append(Source(converted, sha256, "recording", where, tuple(notes)))
-    hashes = {source.sha256 for source in sources}
-    if len(hashes) < len(sources):
+    if len({source.sha256 for source in sources}) < len(sources):
         raise UsageError("a recording is given twice, must be different ones")
-    if isinstance(model, Identified):
-        known = zip(model.recordings, plant.provenance.recordings, strict=True)
-        past = [Source(r, entry.sha256, "identification") for r, entry in known if entry.sha256 not in hashes]
-        notes = []
-    else:
-        folder = Path(model).parent if isinstance(model, str | os.PathLike) else Path()
-        past, notes = past_sources(plant, folder, sources)
-    notes = [*(note for source in sources for note in source.notes), *notes]
+    past, more = _past_of(model, plant, sources)
+    notes = [*(note for source in sources for note in source.notes), *more]
     parent = file_sha256(Path(model)) if isinstance(model, str | os.PathLike) else None
     return Diagnosed(diagnosis_of(plant, sources, past, notes, on_step, limit_s, parent))
+
+
+def _past_of(model: GivenModel, plant: Plant, sources: Sequence[Source]) -> tuple[list[Source], list[str]]:
+    """Recordings of the identification that are not diagnosed now, and notes on missing ones."""
+    if isinstance(model, Identified):
+        hashes = {source.sha256 for source in sources}
+        known = zip(model.recordings, plant.provenance.recordings, strict=True)
+        return [Source(r, entry.sha256, "identification") for r, entry in known if entry.sha256 not in hashes], []
+    folder = Path(model).parent if isinstance(model, str | os.PathLike) else Path()
+    return past_sources(plant, folder, sources)
 
 
 def _with_information(model: Plant, loaded: Sequence[LoadedRecording]) -> Plant:

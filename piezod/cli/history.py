@@ -53,6 +53,11 @@ def history(
         return
     if jobs is not None or scheduler is not None:
         raise UsageError("--jobs and --scheduler are for archives: name a folder of benches with recordings")
+    _models(models, output, table, as_json=as_json)
+
+
+def _models(models: list[Path], output: Path | None, table: Path | None, *, as_json: bool) -> None:
+    """Compare the models, write page and table, and print the history."""
     from piezod.recording.targets import check_page
 
     check_page(output)

@@ -23,6 +23,8 @@ from piezod.errors import UsageError
 
 if TYPE_CHECKING:
     from piezod.api.results import Identified
+    from piezod.estimation.recordings.intake import LoadedRecording
+    from piezod.model import Model
     from piezod.recording import TextOptions
     from piezod.report.next_step import NextStep
 
@@ -172,19 +174,11 @@ def simulate(
     check_absent(output, force=force)
     check_readable(recording, model, text)  # a wrong file is refused before the libraries are there
     from piezod.estimation.recordings.chosen_samples import outside, where
-    from piezod.estimation.recordings.intake import load_for_simulation
-    from piezod.estimation.recordings.layout import layout_of
     from piezod.identify.simulation import simulate_recording
     from piezod.model import load_model
-    from piezod.report.progress import steps
 
     plant = load_model(model)
-    layout = layout_of(recording, plant, text)
-    column, equals, _ = (condition or "").partition("=")
-    with steps() as show:
-        loaded = load_for_simulation(
-            recording, plant.input.channel, plant.output.channel, [column] if equals else [], show, layout
-        )
+    loaded = _loaded(recording, plant, condition, text)
     chosen = outside(loaded.recording, leave_out or ())
     if condition:
         chosen &= where(loaded.recording, condition)
@@ -206,6 +200,19 @@ def simulate(
     lines = [f"{output}: {loaded.source.samples} samples; {simulation.start}{words}"]
     lines += [f"note: {note}" for note in loaded.notes]
     print_result(content | {"recording": source, "notes": loaded.notes}, "\n".join(lines), step, as_json=as_json)
+
+
+def _loaded(recording: Path, plant: "Model", condition: str | None, text: "TextOptions") -> "LoadedRecording":
+    """Recording with the columns of a model and of a condition `COLUMN=VALUE`."""
+    from piezod.estimation.recordings.intake import load_for_simulation
+    from piezod.estimation.recordings.layout import layout_of
+    from piezod.report.progress import steps
+
+    layout = layout_of(recording, plant, text)
+    column, equals, _ = (condition or "").partition("=")
+    columns = [column] if equals else []
+    with steps() as show:
+        return load_for_simulation(recording, plant.input.channel, plant.output.channel, columns, show, layout)
 
 
 @app.command(epilog="Example: piezod compare work.csv simulated.csv --model model.yaml --report comparison.html")

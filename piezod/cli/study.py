@@ -65,18 +65,8 @@ def blind_make(
     from piezod.report.next_step.of_studies import after_blind_make
     from piezod.report.progress import steps
 
-    options = {
-        "cases": cases,
-        "lives": lives,
-        "seed": seed,
-        "kind": kind,
-        "effect": effect,
-        "strength": strength,
-        "family": family,
-        "amid": amid,
-        "varied": varied,
-        "jobs": jobs or core_count(),
-    }
+    options = {"cases": cases, "lives": lives, "seed": seed, "kind": kind, "effect": effect, "strength": strength}
+    options |= {"family": family, "amid": amid, "varied": varied, "jobs": jobs or core_count()}
     count = cases or lives or 1
     with steps() as show:
         make_study(directory, options, lambda drawn: show("drawing", drawn / count))

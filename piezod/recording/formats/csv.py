@@ -15,7 +15,8 @@ import numpy as np
 from piezod.errors import RecordingError
 from piezod.recording.formats.access import replaced_file
 from piezod.recording.formats.stream import chunk_ranges
-from piezod.recording.formats.text_layout import SAMPLE, Layout, text_cells
+from piezod.recording.formats.text_layout import SAMPLE, Layout
+from piezod.recording.formats.text_rows import text_cells
 from piezod.recording.names import TIME, channel_name, name_columns
 from piezod.recording.quantities import Column, is_unit
 from piezod.recording.recording import Recording

@@ -1,26 +1,20 @@
 """Layout of delimited text: encoding, separator, decimal mark, preamble, header and units, columns.
 
-A sample from the begin of the file decides. Each pair of separator and decimal mark is tried; the pair under which most
-lines are rows of numbers with an equal number of cells is taken. If the cells leave a question open, the file is
-refused with the option that does.
+A sample from the begin of the file decides. If its cells leave a question open, the file is refused with the option
+that does.
 """
 
 import functools
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 from piezod.errors import RecordingError, UsageError
 from piezod.recording.formats.scale import parse_scale
 from piezod.recording.formats.text_cells import (
-    COMMENTS,
     day_of,
-    is_clock,
     is_grouped,
-    is_number,
     is_undecided,
     split_cells,
 )
@@ -37,13 +31,11 @@ from piezod.recording.formats.text_head import (
     with_time_unit,
     with_unit,
 )
+from piezod.recording.formats.text_rows import SEPARATORS, RowTable, find_rows, first_row, row_width, text_cells
 from piezod.recording.quantities import Column
 
 SAMPLE = 2**18  # bytes from the begin of the file that decide about its layout
-SEPARATORS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", " ": "spaces"}
 MOST_LEFT_OUT = 200  # characters of the list of ignored columns
-FEWEST_NUMBERS = 2  # columns of numbers of a table that has columns of words too
-FEWEST_ROWS = 2  # rows of numbers that a table must begin with, so that a line of the preamble is not taken for one
 
 
 @dataclass(frozen=True)
@@ -216,9 +208,9 @@ def find_layout(path: Path, options: TextOptions) -> Layout:
 @functools.lru_cache(maxsize=8)  # the names of the columns are wanted before the columns
 def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -> Layout:
     encoding, lines = _begin(path)
-    table = _table(path, lines[: 2 * MOST_PREAMBLE_LINES], options.decimal)
+    table = find_rows(path, lines[: 2 * MOST_PREAMBLE_LINES], options.decimal)
     separator, width = table.separator, table.width
-    first = _first_row(lines, table)
+    first = first_row(lines, table)
     decimal, words, rows = _rows_below(lines[first:], table, options)
     _check_decimal(path, rows, separator, decimal, options)
     head = head_of(lines[:first], separator, width)
@@ -274,7 +266,7 @@ def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -
 
 
 def _rows_below(
-    lines: Sequence[str], table: "_Table", options: TextOptions
+    lines: Sequence[str], table: "RowTable", options: TextOptions
 ) -> tuple[str, frozenset[int], list[list[str]]]:
     """Decimal mark, cells of words, and cells of the rows of numbers, of the lines from the first row on."""
     separator, decimal = table.separator, table.decimal
@@ -284,7 +276,7 @@ def _rows_below(
     rows = [
         cells
         for line in lines
-        if _row_width(line, separator, decimal, words) == table.width and (cells := split_cells(line, separator))
+        if row_width(line, separator, decimal, words) == table.width and (cells := split_cells(line, separator))
     ]
     return decimal, words, rows
 
@@ -299,117 +291,6 @@ def _begin(path: Path) -> tuple[str, list[str]]:
     text = raw.decode(encoding, errors="replace")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return encoding, lines[:-1] if len(raw) == SAMPLE else lines  # the last one is perhaps cut
-
-
-class _Table(NamedTuple):
-    """Rows of numbers under a separator and a decimal mark."""
-
-    rows: int
-    numbers: int
-    separator: str
-    decimal: str
-    first: int
-    width: int
-    words: frozenset[int]
-
-
-def _table(path: Path, lines: Sequence[str], decimal: str) -> _Table:
-    """The separator and decimal mark under which most lines are rows of numbers, then those with most numbers.
-
-    Columns of words are supposed where fewer than half of the lines are rows of numbers alone.
-    """
-    marks = {
-        separator: (decimal,) if decimal else (",", ".") if separator == ";" else (".", ",") for separator in SEPARATORS
-    }
-    pairs = [(separator, mark) for separator in SEPARATORS for mark in marks[separator]]
-    quoted = any('"' in line for line in lines)
-    tables = [_rows(lines, *pair, frozenset()) for pair in pairs if quoted or pair[0] != pair[1]]
-    best = max(tables, key=lambda table: table[:2])
-    if 2 * best.rows < sum(1 for line in lines if line.strip()):
-        words = {pair: _word_cells(lines, *pair) for pair in pairs if pair[0] != pair[1]}
-        tables = [_rows(lines, *pair, cells) for pair, cells in words.items() if cells]
-        tables = [table for table in tables if table.numbers >= FEWEST_NUMBERS and table.rows > 2 * best.rows]
-        best = max(tables, key=lambda table: (table.rows, -len(table.words), table.numbers), default=best)
-    if best.rows < FEWEST_ROWS:
-        raise RecordingError(f"{path}: holds no table of numbers within its first {len(lines)} lines")
-    return best
-
-
-def _first_row(lines: Sequence[str], table: _Table) -> int:
-    """Index of the first row, also where words behind its numbers make it look like a header."""
-    first = table.first
-    while first > 0 and (cells := split_cells(lines[first - 1], table.separator))[table.width :]:
-        row = table.separator.join(cells[: table.width])
-        if _row_width(row, table.separator, table.decimal, table.words) != table.width:
-            break
-        if all(is_number(cell, table.decimal) for cell in cells[table.width :]):
-            break
-        first -= 1
-    return first
-
-
-def text_cells(rows: Sequence[str], separator: str, decimal: str, width: int) -> frozenset[int]:
-    """Cells that hold words where they are not empty, such as remarks on single samples.
-
-    Parameters
-    ----------
-    rows
-        Lines from the first sample on.
-    separator, decimal
-        Characters between two cells, and before the decimals.
-    width
-        Cells of a row.
-    """
-    if separator == " ":
-        return frozenset()
-    with_words: set[int] = set()
-    with_numbers: set[int] = set()
-    for row in rows:
-        if row.startswith(COMMENTS):
-            continue
-        for k, cell in enumerate(split_cells(row, separator)[:width]):
-            if not cell or k in with_numbers:
-                continue
-            if is_number(cell, decimal) or is_clock(cell):
-                with_numbers.add(k)
-            else:
-                with_words.add(k)
-    return frozenset(with_words - with_numbers)
-
-
-def _word_cells(lines: Sequence[str], separator: str, decimal: str) -> frozenset[int]:
-    """Cells that hold words in most lines of the most frequent number of cells."""
-    rows = [split_cells(line, separator) for line in lines]
-    widths = Counter(len(cells) for cells in rows if len(cells) > FEWEST_NUMBERS)
-    width = max(widths, key=lambda width: (widths[width], width), default=0)
-    table = [cells for cells in rows if len(cells) == width]
-    return frozenset(
-        k
-        for k in range(width)
-        if 2 * sum(1 for cells in table if not (is_number(cells[k], decimal) or is_clock(cells[k]))) > len(table)
-    )
-
-
-def _rows(lines: Sequence[str], separator: str, decimal: str, words: frozenset[int]) -> _Table:
-    """Rows of numbers with the most frequent number of cells."""
-    widths = [_row_width(line, separator, decimal, words) for line in lines]
-    counts = Counter(width for width in widths if width)
-    width, rows = max(counts.items(), key=lambda item: (item[1], item[0]), default=(0, 0))
-    first = next(
-        (k for k in range(len(widths) - 1) if widths[k] == width and widths[k + 1] in (width, 0)), len(widths) - 1
-    )
-    return _Table(rows, width - len(words), separator, decimal, first, width, words)
-
-
-def _row_width(line: str, separator: str, decimal: str, words: frozenset[int]) -> int:
-    """Cells of a row of numbers and words; 0 for another line."""
-    if line.lstrip().startswith(COMMENTS):
-        return 0
-    cells = split_cells(line, separator)
-    numbers = [cell for k, cell in enumerate(cells) if k not in words]
-    if not any(cell[-1:].isdigit() or cell[-1:] in (*".,MmZ",) or is_clock(cell) for cell in numbers if cell):
-        return 0
-    return len(cells) if all(is_number(cell, decimal) or is_clock(cell) for cell in numbers) else 0
 
 
 def _check_groups(
