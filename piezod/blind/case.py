@@ -103,9 +103,6 @@ def case_folders(study: Path, only: tuple[str, ...] = ()) -> list[Path]:
     cases = {path.parent.name: path.parent for path in sorted(study.glob(f"case_*/{DESCRIPTION}"))}
     missing = [name for name in only if name not in cases]
     if missing:
-        raise UsageError(f"--only names {missing[0]}, {study} has {len(cases)} cases, {_first_to_last(list(cases))}")
+        listed = f"{next(iter(cases))} to {next(reversed(cases))}" if cases else "none"
+        raise UsageError(f"--only names {missing[0]}, {study} has {len(cases)} cases, {listed}")
     return [folder for name, folder in cases.items() if name in only or not only]
-
-
-def _first_to_last(names: list[str]) -> str:
-    return f"{names[0]} to {names[-1]}" if names else "none"

@@ -1,16 +1,13 @@
 """`piezod blind run`: diagnoses every case of a study that has no verdict yet, and saves the verdicts."""
 
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from piezod.blind.case import case_folders, read_case
 from piezod.blind.verdict import Verdict, VerdictFolder, as_verdict
-from piezod.diagnose.hypothesis.parallel import core_count
 from piezod.errors import PiezodError
-from piezod.tasks.cluster import run_on_cluster
-from piezod.tasks.isolated import run_locally
+from piezod.tasks.cluster import run_tasks
 from piezod.tasks.task import Outcome, Task, failed_outcome
 
 OnVerdict = Callable[[Verdict | None, int, int], None]
@@ -81,10 +78,7 @@ def run_study(
         except PiezodError as error:
             return failed_outcome(case.name, str(error))
 
-    outcomes = (
-        run_locally(next_case, jobs or core_count()) if scheduler is None else run_on_cluster(next_case, scheduler)
-    )
-    with closing(outcomes):
+    with run_tasks(next_case, jobs, scheduler) as outcomes:
         for done, outcome in enumerate(outcomes, 1):
             verdict = as_verdict(outcome)
             saved.save(verdict)

@@ -8,18 +8,15 @@ import json
 import shutil
 import zlib
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from piezod.diagnose.hypothesis.parallel import core_count
 from piezod.history.archive import MARK, ArchivedRecording, Bench
 from piezod.history.worker import MODEL, SCHEMA, TASK
 from piezod.model import file_sha256
 from piezod.runtime.files import written, written_folder
-from piezod.tasks.cluster import run_on_cluster
-from piezod.tasks.isolated import run_locally
+from piezod.tasks.cluster import run_tasks
 from piezod.tasks.task import RUN, Outcome, Task, failed_outcome
 
 FINDINGS = "findings.json"
@@ -179,10 +176,7 @@ def diagnose_archive(
 
     if wanted:
         on_recording(None, 0, wanted)
-    outcomes = (
-        run_locally(next_task, jobs or core_count()) if scheduler is None else run_on_cluster(next_task, scheduler)
-    )
-    with closing(outcomes):
+    with run_tasks(next_task, jobs, scheduler) as outcomes:
         for outcome in outcomes if wanted else ():
             diagnosed = runs[outcome.name].save(outcome)
             done += 1

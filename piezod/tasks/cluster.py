@@ -1,19 +1,41 @@
-"""Tasks for the workers of a Dask cluster; contents of files are sent and received, no disk is shared."""
+"""Tasks on this machine, or for the workers of a Dask cluster: contents of files are sent, no disk is shared."""
 
 import importlib
 import logging
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
+from piezod.diagnose.hypothesis.parallel import core_count
 from piezod.errors import ConfigurationError, UnreachableError, UsageError
-from piezod.tasks.isolated import ATTEMPTS, run_isolated
+from piezod.tasks.isolated import ATTEMPTS, run_isolated, run_locally
 from piezod.tasks.task import Outcome, TaskSource, failed_outcome
 
 CONNECT_S = 5.0  # longest time for the scheduler to answer [s]
 PATIENCE_S = 30.0  # longest time until a first worker is present [s]
 SUBMITTED_PER_THREAD = 2
 """Tasks submitted per thread of the cluster: no thread is idle, and the scheduler stores few tasks."""
+
+
+@contextmanager
+def run_tasks(source: TaskSource, jobs: int | None, scheduler: str | None) -> Iterator[Iterator[Outcome]]:
+    """Outcomes of tasks, each when it is complete; the end of the context ends the tasks that still run.
+
+    Parameters
+    ----------
+    jobs
+        Number of processes on this machine, at least 1; None: one per core.
+    scheduler
+        Address of a Dask scheduler; None: this machine.
+
+    Raises
+    ------
+    ConfigurationError, UsageError, UnreachableError
+        As for `run_on_cluster`.
+    """
+    outcomes = run_locally(source, jobs or core_count()) if scheduler is None else run_on_cluster(source, scheduler)
+    with closing(outcomes):
+        yield outcomes
 
 
 def run_on_cluster(source: TaskSource, address: str, patience_s: float = PATIENCE_S) -> Generator[Outcome, None, None]:

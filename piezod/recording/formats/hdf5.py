@@ -79,7 +79,7 @@ class Vector(NamedTuple):
 
 
 @contextmanager
-def open_hdf5(path: Path, options: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008  frozen
+def open_hdf5(path: Path, options: TextOptions) -> Iterator[RecordingStream]:
     """Open an HDF5 file: its datasets are listed at once, numbers are read with the chunks.
 
     Raises

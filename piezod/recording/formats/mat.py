@@ -39,10 +39,7 @@ MOST_LABEL = 100  # characters of such a name
 LONGEST_NAME = 31  # characters that the name of a variable may have in version 5
 
 
-def open_mat(
-    path: Path,
-    options: TextOptions = TextOptions(),  # noqa: B008  frozen
-) -> AbstractContextManager[RecordingStream]:
+def open_mat(path: Path, options: TextOptions) -> AbstractContextManager[RecordingStream]:
     """Open a MAT file. A file of version 5 is one chunk, a file of 7.3 is read in chunks.
 
     Raises

@@ -36,7 +36,7 @@ NUMBERS = {0, 1, 2, 3, 4, 5}
 
 
 @contextmanager
-def open_mdf4(path: Path, options: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008  frozen
+def open_mdf4(path: Path, options: TextOptions) -> Iterator[RecordingStream]:
     """Open an MDF 4 file: its structure is checked and read at once, numbers are read with the only chunk.
 
     Parameters

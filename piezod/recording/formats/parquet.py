@@ -24,7 +24,7 @@ FOREIGN_KEYS = {b"ARROW:schema", b"pandas"}
 
 
 @contextmanager
-def open_parquet(path: Path, options: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008  frozen
+def open_parquet(path: Path, options: TextOptions) -> Iterator[RecordingStream]:
     """Open a Parquet file: its schema is read at once, numbers are read with the chunks.
 
     Raises

@@ -36,7 +36,7 @@ WITHIN_S = 120  # processor time of the child [s]; a full sheet takes 20 s
 
 
 @contextmanager
-def open_spreadsheet(path: Path, options: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008
+def open_spreadsheet(path: Path, options: TextOptions) -> Iterator[RecordingStream]:
     """Open a workbook.
 
     Parameters

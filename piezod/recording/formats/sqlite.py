@@ -60,7 +60,7 @@ def write_sqlite(recording: Recording, path: Path) -> None:
 
 
 @contextmanager
-def open_sqlite(path: Path, _: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008  frozen
+def open_sqlite(path: Path, _: TextOptions) -> Iterator[RecordingStream]:
     """Open a recording, complete or still being written; it holds the blocks that are committed now.
 
     Raises

@@ -31,7 +31,7 @@ SHORTEST_CHUNK = 2**20
 
 
 @contextmanager
-def open_tdms(path: Path, options: TextOptions = TextOptions()) -> Iterator[RecordingStream]:  # noqa: B008  frozen
+def open_tdms(path: Path, options: TextOptions) -> Iterator[RecordingStream]:
     """Open a TDMS file: its properties are read at once, numbers are read with the chunks.
 
     Raises

@@ -238,7 +238,8 @@ def _layout_of(path: Path, _changed_ns: int, _size: int, options: TextOptions) -
     left_out = [columns[k].written for k in sorted(words | unused) if k not in (time, date_place)]
     if left_out:
         notes.append(f"left out: {', '.join(map(repr, left_out))[:MOST_LEFT_OUT]}, no column of numbers")
-    _check_groups(path, rows, {k: columns[k].written for k in places}, decimal, options)
+    for k in () if options.decimal else places:
+        _check_grouped(path, columns[k].written, [cells[k] for cells in rows if k < len(cells)], decimal)
     columns = tuple(with_unit(columns[k], notes) for k in places)
     check_names(path, columns)
     if not any(k != time for k in places):
@@ -291,14 +292,6 @@ def _begin(path: Path) -> tuple[str, list[str]]:
     text = raw.decode(encoding, errors="replace")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return encoding, lines[:-1] if len(raw) == SAMPLE else lines  # the last one is perhaps cut
-
-
-def _check_groups(
-    path: Path, rows: Sequence[Sequence[str]], names: dict[int, str], decimal: str, options: TextOptions
-) -> None:
-    """Check each column with `_check_grouped`, unless the user states the decimal mark."""
-    for k, name in names.items() if not options.decimal else ():
-        _check_grouped(path, name, [cells[k] for cells in rows if k < len(cells)], decimal)
 
 
 def _check_grouped(path: Path, name: str, cells: Sequence[str], decimal: str) -> None:

@@ -145,7 +145,8 @@ def _body(page: _Page) -> str:
     findings = page.diagnosis.findings
     wording = _wording(page, page.recording_of)
     cards = "".join(sections.card_html(effect, findings, wording) for effect in findings.effects)
-    errors = f"{sections.held_out_html(findings, _errors(page))}<p class='dim'>{html.escape(_HELD_OUT)}</p>"
+    rows = [(r.series.name, _rms(r.before, r), _rms(r.after, r)) for r in page.recordings]
+    errors = f"{sections.held_out_html(findings, rows)}<p class='dim'>{html.escape(_HELD_OUT)}</p>"
     remains = f"<div class='remains {_open(page)}'>{_remains(page)}</div>"
     parts = [
         _first_screen(page),
@@ -307,10 +308,6 @@ def _wording(page: _Page, recording_of: Mapping[Place, Residuals]) -> Wording:
     """Units and, with several recordings, the name of the recording of each place in time."""
     several = len(page.recordings) > 1
     return Wording(*page.units, {place: r.series.name for place, r in recording_of.items()} if several else {})
-
-
-def _errors(page: _Page) -> list[tuple[str, float, float]]:
-    return [(r.series.name, _rms(r.before, r), _rms(r.after, r)) for r in page.recordings]
 
 
 def _rms(residual: Array, recording: Residuals) -> float:
