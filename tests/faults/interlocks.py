@@ -92,7 +92,7 @@ INTERLOCKS = {
     "identity while driving": _out(
         "transport.register_guard", "return ExchangeResult.WRONG_DEVICE", "return _OK", "P19", "P20",
     ),
-    "echo of the command": _out("transport.tick_values", "return ExchangeResult.ECHO_MISMATCH", "pass", "P37"),
+    "echo of the command": _out("transport.tick_values", "return ExchangeResult.ECHO_MISMATCH", "pass", "P12"),
     "heartbeat": _out("transport.tick_values", "return ExchangeResult.HEARTBEAT_STOOD", "pass", "P26", "P27"),
     "heartbeat that runs backwards": _out("transport.tick_values", "if backwards or (", "if (", "P27"),
     "range of a reading": _out(
@@ -106,7 +106,7 @@ INTERLOCKS = {
     "finite voltage": _out(
         "control.limits", "planned_V if isfinite(planned_V) else self._applied_V", "planned_V", "V10",
     ),
-    "arming: identity": _out("control.arming", "    verify_identity(link)\n", "", "P14"),
+    "arming: identity": _out("control.arming", "    verify_identity(link)\n", "", "P45"),
     "arming: force at rest": _out(
         "control.arming", "if not bench.limits.force_min_N <= force_N <= bench.limits.force_trip_N:", "if False:",
         "P43",
