@@ -166,13 +166,14 @@ def config_check(config: ConfigArgument, as_json: JsonOption = False) -> None:
 
     bench = load_bench(config)
     model = model_path(bench, config)
-    exists = model.exists()
+    exists, acts = model.exists(), bench.limits.acts_after
     content = {"schema": "piezod.config_check/1", "file": str(config), "bench": bench.name, "model": str(model)}
     text = f"{config}: bench '{bench.name}', {bench.rate_Hz:g} Hz over {bench.link.kind}"
+    text += "".join(f"\nlimits.{name}: {when}" for name, when in acts.items())
     if not exists:
         text += f"\nits model {model} does not exist yet: make it with piezod record, then piezod identify"
     step = after_config_check(config, model_exists=exists)
-    print_result(content | {"model_there": exists}, text, step, as_json=as_json)
+    print_result(content | {"model_there": exists, "acts_after": acts}, text, step, as_json=as_json)
 
 
 @app.command("support-bundle", epilog="Example: piezod support-bundle config/bench.yaml -o support.zip")

@@ -1,6 +1,7 @@
 """The bench configuration: every setting that `piezod run` needs, cross-checked before any voltage is written."""
 
 import os
+from math import inf
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -131,10 +132,14 @@ class BenchConfig(Section):
     @property
     def reference_range(self) -> ReferenceRange:
         """Range of forces that the reference may ask for."""
+        return reference_range(self.reference, self.limits, self._readable_N)
+
+    @property
+    def _readable_N(self) -> tuple[float | None, float | None]:
+        """Lowest and highest force that the register can show [N]; None: unknown."""
         link = self.load_cell_link or self.link
         force = None if isinstance(link, SerialLineLink) else link.registers.force
-        readable_N = (None, None) if force is None else (force.low, force.high)
-        return reference_range(self.reference, self.limits, readable_N)
+        return (None, None) if force is None else (force.low, force.high)
 
     @model_validator(mode="after")
     def _reference_is_in_range(self) -> Self:
@@ -154,17 +159,31 @@ class BenchConfig(Section):
     @model_validator(mode="after")
     def _force_limits_lie_within_the_readable_range(self) -> Self:
         """Require trip limits inside low..high: a reading outside low..high is discarded and would never trip."""
-        link, limits = self.load_cell_link or self.link, self.limits
-        force = None if isinstance(link, SerialLineLink) else link.registers.force
-        if force is None:
-            return self
-        trip, low = "limits.force_trip_N", "limits.force_min_N"
-        if force.high is not None:
-            below = f"below registers.force.high, {force.high:g}"
-            require(limits.force_trip_N < force.high, trip, limits.force_trip_N, below)
-        if force.low is not None:
-            above = f"above registers.force.low, {force.low:g}"
-            require(limits.force_min_N > force.low, low, limits.force_min_N, above)
+        limits, (low_N, high_N) = self.limits, self._readable_N
+        if high_N is not None:
+            below = f"below registers.force.high, {high_N:g}"
+            require(limits.force_trip_N < high_N, "limits.force_trip_N", limits.force_trip_N, below)
+        if low_N is not None:
+            above = f"above registers.force.low, {low_N:g}"
+            require(limits.force_min_N > low_N, "limits.force_min_N", limits.force_min_N, above)
+        return self
+
+    @model_validator(mode="after")
+    def _every_limit_can_act(self) -> Self:
+        """Refuse a limit that nothing can reach: it would monitor nothing, and look as if it did."""
+        limits, (low_N, high_N) = self.limits, self._readable_N
+        span_N = inf if low_N is None or high_N is None else high_N - low_N
+        turn, span_V = 2.0 * limits.slew_V_per_s / self.dt_s, limits.voltage_max_V - limits.voltage_min_V
+        for name, most, why in (
+            ("acceleration_V_per_s2", turn, "two slews in a tick"),
+            ("deceleration_V_per_s2", turn, "two slews in a tick"),
+            ("force_rate_trip_N_per_s", 10.0 * span_N / self.dt_s, "ten times the range of registers.force in a tick"),
+            ("tracking_trip_N", span_N, "the range of registers.force"),
+            ("stuck_travel_V", span_V if limits.stuck_samples else inf, "voltage_min_V to voltage_max_V"),
+        ):
+            if (value := getattr(limits, name)) is not None:
+                limit = f"at most {most:g}, {why}: it can never act; lower it, or write null"
+                require(value <= most, f"limits.{name}", value, limit)
         return self
 
     @model_validator(mode="after")

@@ -1,52 +1,72 @@
 """The `limits` section: values that no command may exceed."""
 
 from math import sqrt
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from piezod.config.checked import Positive, Section, require
+from piezod.config.checked import Section, require
+
+
+def _limit(low: float, high: float, acts: str, tighter: int = 0) -> Any:  # noqa: ANN401  # as `pydantic.Field`
+    """Bounds of a limit, when it acts, and the direction in which it may change while the bench is armed; 0: none."""
+    return Field(ge=low, le=high, json_schema_extra={"acts": acts, "tighter": tighter})
 
 
 class LimitsConfig(Section):
-    """Electrical, thermal, mechanical and timing limits of stack, amplifier and specimen; null: not monitored."""
+    """Electrical, thermal, mechanical and timing limits of stack, amplifier and specimen; null: not monitored.
 
-    voltage_min_V: float
-    voltage_max_V: float
-    voltage_step_V: Annotated[float, Field(ge=0)] = 0.0
-    slew_V_per_s: Positive
-    slew_down_V_per_s: Positive | None = None
-    acceleration_V_per_s2: Positive | None = None
-    deceleration_V_per_s2: Positive | None = None
-    resonance_Hz: Positive | None = None
-    current_max_A: Positive
-    capacitance_F: Positive
-    dissipation_max_W: Positive | None = None
-    loss_tangent: Annotated[float, Field(gt=0, lt=1)] | None = None
-    dissipation_over_s: Positive = 10.0
-    temperature_trip_degC: float | None = None
-    temperature_low_degC: float = -40.0
-    temperature_frozen_s: Positive | None = None
-    force_min_N: float
-    force_trip_N: float
-    force_debounce_samples: Annotated[int, Field(ge=1, le=100)] = 1
-    force_rate_trip_N_per_s: Positive | None = None
-    tracking_trip_N: Positive | None = None
-    tracking_trip_ms: Positive = 100.0
-    readback_trip_V: Positive | None = None
-    readback_trip_ms: Positive = 50.0
-    stuck_samples: Annotated[int, Field(ge=2)] | None = None
-    stuck_travel_V: Positive = 5.0
-    ramp_down_V_per_s: Positive
-    stale_after_ms: Positive
-    comm_loss_ms: Positive
+    The bounds of each limit stand here with when it acts, for `piezod config check`. Beyond them it never acts.
+    """
+
+    # Amplifiers of piezo stacks give up to 2 kV; a ramp below 0.1 V/s does not end while somebody waits for it.
+    voltage_min_V: Annotated[float, _limit(-1e4, 1e4, "in each tick")]
+    voltage_max_V: Annotated[float, _limit(-1e4, 1e4, "in each tick", -1)]
+    voltage_step_V: Annotated[float, _limit(0.0, 100.0, "in each tick")] = 0.0
+    slew_V_per_s: Annotated[float, _limit(0.1, 1e8, "in each tick", -1)]
+    slew_down_V_per_s: Annotated[float | None, _limit(0.1, 1e8, "in each tick")] = None
+    acceleration_V_per_s2: Annotated[float | None, _limit(0.1, 1e12, "in each tick before a stop or a fault")] = None
+    deceleration_V_per_s2: Annotated[float | None, _limit(0.1, 1e12, "in each tick after a stop or a fault")] = None
+    resonance_Hz: Annotated[float | None, _limit(0.1, 1e6, "on the slew, when the file is read")] = None
+    # A stack has nanofarads to a millifarad; the mean of the heat must see a reversal, and the stack cools in an hour.
+    current_max_A: Annotated[float, _limit(1e-6, 1e3, "on the slew, when the file is read")]
+    capacitance_F: Annotated[float, _limit(1e-12, 1.0, "on the slew, when the file is read")]
+    dissipation_max_W: Annotated[float | None, _limit(1e-9, 1e4, "at the first tick of a mean above", -1)] = None
+    loss_tangent: Annotated[float | None, _limit(1e-5, 1.0, "by the heat")] = None
+    dissipation_over_s: Annotated[float, _limit(0.1, 3600.0, "by the mean of the heat")] = 10.0
+    # The Curie temperature of a stack is below 400 degC; a temperature that rests for a day is no measurement.
+    temperature_trip_degC: Annotated[float | None, _limit(-273.15, 400.0, "at the first reading above", -1)] = None
+    temperature_low_degC: Annotated[float, _limit(-273.15, 400.0, "after 10 readings below", 1)] = -40.0
+    temperature_frozen_s: Annotated[float | None, _limit(0.01, 86400.0, "after this time", -1)] = None
+    # The largest stacks block 0.1 MN; a jump takes a microsecond at least.
+    force_min_N: Annotated[float, _limit(-1e6, 1e6, "after force_debounce_samples below", 1)]
+    force_trip_N: Annotated[float, _limit(-1e6, 1e6, "after force_debounce_samples above", -1)]
+    force_debounce_samples: Annotated[int, _limit(1, 100, "by this number of readings", -1)] = 1
+    force_rate_trip_N_per_s: Annotated[float | None, _limit(1e-3, 1e12, "after force_debounce_samples", -1)] = None
+    tracking_trip_N: Annotated[float | None, _limit(1e-6, 1e6, "after tracking_trip_ms", -1)] = None
+    # An operator sees a silence, an error or a clamp within a minute.
+    tracking_trip_ms: Annotated[float, _limit(0.01, 6e4, "after this time", -1)] = 100.0
+    readback_trip_V: Annotated[float | None, _limit(1e-6, 1e4, "after readback_trip_ms", -1)] = None
+    readback_trip_ms: Annotated[float, _limit(0.01, 6e4, "after this time", -1)] = 50.0
+    stuck_samples: Annotated[int | None, _limit(2, 1_000_000, "after this number and stuck_travel_V", -1)] = None
+    stuck_travel_V: Annotated[float, _limit(1e-6, 1e4, "after this way and stuck_samples")] = 5.0
+    ramp_down_V_per_s: Annotated[float, _limit(0.1, 1e8, "in each tick of a ramp down")]
+    stale_after_ms: Annotated[float, _limit(0.01, 6e4, "after this time", -1)]
+    comm_loss_ms: Annotated[float, _limit(0.01, 6e4, "after this time", -1)]
     comm_loss_action: Literal["ramp_down", "hold", "zero"] = "ramp_down"
-    device_watchdog_ms: Annotated[int, Field(ge=0, le=65535)] = 0
-    missed_ticks_in_a_row: Annotated[int, Field(ge=1)] = 5
-    failed_exchanges: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
+    device_watchdog_ms: Annotated[int, _limit(0, 65535, "after this time; 0: never")] = 0
+    missed_ticks_in_a_row: Annotated[int, _limit(1, 1_000_000, "after this number", -1)] = 5
+    failed_exchanges: Annotated[int | None, _limit(1, 1_000_000, "after this number", -1)] = None
     output_on_in_status: bool = False
-    clamped_trip_ms: Positive | None = None
-    arming_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 10.0
+    clamped_trip_ms: Annotated[float | None, _limit(0.01, 6e4, "after this time", -1)] = None
+    arming_timeout_s: Annotated[float, _limit(0.01, 3600.0, "after this time", -1)] = 10.0
+
+    @property
+    def acts_after(self) -> dict[str, str]:
+        """Value of each limit and when it acts, in words; a limit of null never acts."""
+        acts = {name: _about(name)["acts"] for name in LimitsConfig.model_fields if _about(name)}
+        values = {name: getattr(self, name) for name in acts}
+        return {name: "null" if values[name] is None else f"{values[name]:g}, acts {acts[name]}" for name in acts}
 
     @property
     def voltage_safe_V(self) -> float:
@@ -136,14 +156,10 @@ class LimitsConfig(Section):
         return self
 
 
-# Limits that may change while the bench is armed, upwards or downwards. All other limits must not change.
-_TIGHTER_UP = ("force_min_N", "temperature_low_degC")
-_TIGHTER_DOWN = (
-    *("voltage_max_V", "slew_V_per_s", "dissipation_max_W", "temperature_trip_degC", "temperature_frozen_s"),
-    *("force_trip_N", "force_debounce_samples", "force_rate_trip_N_per_s", "tracking_trip_N", "tracking_trip_ms"),
-    *("readback_trip_V", "readback_trip_ms", "stuck_samples", "stale_after_ms", "comm_loss_ms"),
-    *("missed_ticks_in_a_row", "failed_exchanges", "clamped_trip_ms", "arming_timeout_s"),
-)
+def _about(name: str) -> dict[str, Any]:
+    """Texts of `_limit` about a limit; empty for a key that is no number."""
+    extra = LimitsConfig.model_fields[name].json_schema_extra
+    return dict(extra) if isinstance(extra, dict) else {}
 
 
 def loosened_limit(old: LimitsConfig, new: LimitsConfig) -> str:
@@ -152,10 +168,10 @@ def loosened_limit(old: LimitsConfig, new: LimitsConfig) -> str:
         before, after = getattr(old, name), getattr(new, name)
         if before == after:
             continue
-        if name not in (*_TIGHTER_UP, *_TIGHTER_DOWN):
+        if not (direction := _about(name).get("tighter", 0)):
             return f"limits.{name} would change from {before} to {after}"
         # null switches the limit off: the loosest value
-        if after is None or (before is not None and (after < before) == (name in _TIGHTER_UP)):
+        if after is None or (before is not None and (after - before) * direction < 0):
             change = f"from {_limit_text(before)} to {_limit_text(after)}"
             return f"limits.{name} would go {change}, which is looser"
     return ""

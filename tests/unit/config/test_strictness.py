@@ -12,7 +12,7 @@ BENCH = Path(__file__).parents[3] / "config" / "bench.yaml"
 
 REFUSED = [
     # text of the shipped file, its replacement, part of the message
-    ("slew_V_per_s: 4000.0", "slew_V_per_s: -3.0", "limits.slew_V_per_s is -3.0, must be above 0"),
+    ("slew_V_per_s: 4000.0", "slew_V_per_s: -3.0", "limits.slew_V_per_s is -3.0, must be at least 0.1"),
     ("slew_V_per_s: 4000.0", "slow_V_per_s: 4000.0", "unknown key limits.slow_V_per_s, did you mean 'slew_V_per_s'?"),
     ("slew_V_per_s: 4000.0", "slew_V_per_s: 40000.0", "must be at most current_max_A / capacitance_F = 6000"),
     ("rate_Hz: 1000", "rate_Hz: .nan", "rate_Hz is nan, must be a finite number"),
