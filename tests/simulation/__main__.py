@@ -7,7 +7,7 @@ import sys
 import time
 
 from tests.simulation.holes import HOLES, put_back
-from tests.simulation.plan import draw
+from tests.simulation.plan import draw, draw_contest
 
 FOUND = "found: "  # begin of the line with the rest of a row
 
@@ -21,6 +21,7 @@ def main():
     parser.add_argument("--trace", action="store_true", help="print the history")
     parser.add_argument("--hash", action="store_true", help="print the hash of each history")
     parser.add_argument("--shrink", action="store_true", help="repeat a violation with fewer events")
+    parser.add_argument("--contest", action="store_true", help="two clients, two verbs and faults, in each history")
     parser.add_argument("--hole", choices=HOLES, help="run with a hole of the past, until a violation")
     parser.add_argument("--holes", action="store_true", help="every hole of the past in turn")
     wanted = parser.parse_args()
@@ -36,7 +37,7 @@ def main():
     begun_s, virtual_s, used_s, failed = time.monotonic(), 0.0, 0.0, 0
     transitions = 0
     for seed in seeds:
-        plan = draw(seed, wanted.seconds)
+        plan = (draw_contest if wanted.contest else draw)(seed, wanted.seconds)
         result = run(plan, print if wanted.trace else None)
         transitions += result.observed.get("transitions", 0)
         virtual_s, used_s = virtual_s + result.seconds, used_s + result.real_s
@@ -67,7 +68,7 @@ def each_hole(wanted):
     print("|---|---|---|---|---|---|---|---|---|")
     for name, hole in HOLES.items():
         options = ["--seeds", str(wanted.seeds), "--first", str(wanted.first), "--seconds", str(wanted.seconds)]
-        options += ["--shrink"] if wanted.shrink else []
+        options += [f"--{name}" for name in ("shrink", "contest") if getattr(wanted, name)]
         command = [sys.executable, "-m", "tests.simulation", "--hole", name, *options]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         found = [line.removeprefix(FOUND) for line in done.stdout.splitlines() if line.startswith(FOUND)]

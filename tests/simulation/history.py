@@ -12,18 +12,21 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from firmware_sim.firmware.device import IDENTITY
+from piezod.config import load_bench
 from piezod.control import ROW_DTYPE, RingLog, RingReader, State
 from piezod.control.states import DRIVING as DRIVEN
 from piezod.daemon.client import Client
-from piezod.daemon.run import run_foreground
+from piezod.daemon.run import drive, run_foreground
 from piezod.daemon.stop_path import urge
 from piezod.errors import PiezodError
 from piezod.recorder.messages import MessageReader, Plan, report_sender
 from piezod.recorder.ring_recorder import RingRecorder
 from piezod.recorder.writer import run as run_recorder
+from piezod.session.task import SegmentSpec
 from tests.simulation import amplifier as judged
 from tests.simulation.amplifier import Amplifier
 from tests.simulation.disk import Disk
@@ -49,6 +52,7 @@ PASSED_EACH_PERIOD_N = 100.0  # the sine of 120 +- 40 N is below it for a third 
 EXCEEDED_WITHIN_S = 1.0  # a third of the longest period, 2 s, and the debounce
 LOW_TRIP_N, LOW_TRIPPED_WITHIN_S = 100.0, 140.0 / RAMP_DOWN_V_PER_S + 0.1
 LOOK_S = 0.02
+RECORDED_S = 2.0
 TOLD_WITHIN_S = 0.5  # a state that is told was that of a tick so long ago at most; the service looks each 0.1 s
 STALE_AFTER_S = 1.0  # values of this age are told as such, by a service that looked `TOLD_WITHIN_S` ago at most
 SHOWN_WITHIN_S = 0.1  # an accepted arm is answered some ticks before the log shows its state
@@ -62,7 +66,7 @@ FOREIGN_WITHIN_S = 0.1  # the guard compares the set point each 50 ms
 DRIFTED = "see piezod diagnose --from-bench"
 DRIFT_WINDOW_S = 2.0  # shorter than on a bench, so that a history has several
 KEPT_WITHIN_S = 3.0  # from the heat file to the end of a run, which waits 2 s for the reader of its log
-SERVICES = ("daemon", "second daemon")
+SERVICES = ("daemon", "second daemon", "record")
 ENDS_WITHIN_S = 15.0  # from SIGTERM to the end of every process of the service
 CALM = ("arm", "disarm", "stop", "urge", "reset", "status", "scrape", "stream", "start", "signal_service",
         "kill_service", "disk_fault", "kill_recorder")  # fmt: skip
@@ -107,7 +111,9 @@ class History:
 
         def log(ring_log, *row):
             append(ring_log, *row)
-            self.trace().add(row[TICK], row[STATE], row[CAUSE])
+            trace = self.trace()
+            trace.add(row[TICK], row[STATE], row[CAUSE])
+            trace.judge_authority(row, machine.now_ns)
 
         RingLog.append = log
         self.path = folder / "bench.yaml"
@@ -297,7 +303,9 @@ class History:
         """Trace of the present process."""
         process = self.machine.process
         if process not in self.traces:
-            self.traces[process] = Trace(lambda text: self.violate("trace", text))
+            rate_Hz = self.plan.rate_Hz
+            rates = SLEW_V_PER_S / rate_Hz, RAMP_DOWN_V_PER_S / rate_Hz
+            self.traces[process] = Trace(lambda text: self.violate("trace", text), *rates)
         return self.traces[process]
 
     # what holds ---------------------------------------------------------------------------------------------------
@@ -475,17 +483,45 @@ class History:
     def stop(self):
         self._end("stop")
 
+    def drive_once(self):
+        """A command that drives, as `piezod record` does; where a service runs, it is refused."""
+
+        def run():
+            self.machine.sleep(self.spawning.start_s())
+            ticks = np.arange(round(RECORDED_S * self.plan.rate_Hz)) / self.plan.rate_Hz
+            drive_V = SegmentSpec("record", "direct", voltages_V=40.0 * np.sin(np.pi * ticks / RECORDED_S) ** 2)
+            try:
+                drive(self.path, load_bench(self.path), None, [drive_V], lambda _: None, keeps_rows=False)
+            except PiezodError as error:
+                self.machine.note("record", "ends with", error)
+            finally:
+                self.arm_ends("arm")
+
+        self.arm_begins()
+        process = Process(self.machine, "record")
+        if not self.alive:
+            new_process_of_the_daemon()
+            self.service = process
+        process.start(run)
+
+    def _stops(self, command, *, answered):
+        """A stop on its way to the control process that runs, or answered by it."""
+        if command == "stop" and self.control in self.traces:
+            self.traces[self.control].stop(self.machine.now_ns, answered=answered)
+
     def _end(self, command):
         if self.alive:
             self.expect_rest(command, self._held_s())
             if command == "disarm":
                 self.expect_steadily(command)
         sent_ns = self.machine.now_ns
+        self._stops(command, answered=False)
         self.ask(command, lambda good, text: self._ended(command, good, text, sent_ns))
 
     def _ended(self, command, good, text, sent_ns):
         """A command that did not reach the service asks for nothing; after one that was obeyed no former arm drives."""
         if good:
+            self._stops(command, answered=True)
             self.machine.after(round(REST_WITHIN_S * SECOND), lambda: self._stays_at_rest(sent_ns))
         if not good and self.rest_due is not None and self.rest_due[1] == command:
             self.rest_due = None
@@ -509,10 +545,14 @@ class History:
         if self.alive:
             self.expect_rest(f"{command} at the stop socket", self._held_s())
 
+        self._stops(command, answered=False)
+
         def talk():
-            sent_ns = machine.now_ns
+            sent_ns, control = machine.now_ns, self.control
             try:
                 text = urge(self.folder / "ring.sock.stop", command, 2.0)
+                if control is self.control:
+                    self._stops(command, answered=text.endswith("passed to the control process"))
                 machine.after(round(REST_WITHIN_S * SECOND), lambda: self._stays_at_rest(sent_ns))
             except PiezodError as error:
                 text = f"{type(error).__name__}: {error}"
@@ -664,6 +704,8 @@ class History:
                 undisturbed = self._is_calm() and self._keeps_up()
                 if undisturbed and self.state() in (State.DISARMED, State.ARMING, State.RUNNING):
                     self._expect_no_fault(self.service, self.happened)
+            if times > 1:  # the second one is haste
+                self._stops("stop", answered=False)
             for _ in range(times):
                 if self.alive:
                     self.service.signal(number)

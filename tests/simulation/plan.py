@@ -238,6 +238,33 @@ PROLOGUES = (_nothing, _nothing, _trip, _replies, _replies, _stopped, _starting,
 """Begins of a history in which one thing only goes wrong."""
 
 
+COMMANDED = (*["arm"] * 4, "stop", "disarm", "urge", "reset", "status")  # by each of two clients
+STRUCK = ("reload", "false_reading", "refusal", "restart_device", "trip_amplifier", "other_master", "wire", "cut",
+          "pause_control", "stall", "kill_control", "kill_service", "signal_service", "ignored_writes")  # fmt: skip
+
+
+def draw_contest(seed, seconds):
+    """Two clients, two verbs and faults: the clients know nothing of each other, and everything meets."""
+    rng = random.Random(f"contest {seed}")
+    is_drive = rng.random() < 0.4  # a command that drives, while nobody serves the bench
+    events = [Event(0.3, "signal_service", ("SIGTERM", 1)), Event(1.2, "drive_once")] if is_drive else []
+    for _ in range(2):
+        time_s = rng.uniform(1.8, 2.4)
+        while time_s < seconds - 1.0:
+            name = rng.choice(COMMANDED)
+            events.append(Event(time_s, name, _arguments(name, rng)))
+            time_s += rng.choice((0.001, 0.05, 1.0, 2.0)) * rng.uniform(0.2, 2.0)
+    for _ in range(rng.choice((0, 1, 2, 3))):
+        name = rng.choice(STRUCK)
+        events.append(Event(rng.uniform(2.0, seconds - 1.5), name, _arguments(name, rng)))
+    if rng.random() < 0.4:  # a limit below the force that is driven
+        events.append(Event(rng.uniform(3.0, 4.5), "reload", (50.0, False)))
+    verbs = rng.sample(("drive_once", "second_service", "start"), rng.choice((0, 1, 2)))
+    events += [Event(rng.uniform(1.0, seconds - 1.0), name) for name in verbs]
+    events.sort(key=lambda event: event.time_s)
+    return Plan(seed, seconds, rate_Hz=rng.choice((100, 200)), wire=rng.choice(("tcp", "rtu")), events=tuple(events))
+
+
 def draw(seed, seconds):
     """The plan of a seed."""
     rng = random.Random(seed)

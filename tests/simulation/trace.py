@@ -3,13 +3,22 @@
 Between two rows the states must be joined by transitions of the table, the last of them by an event of the noted cause.
 A voltage that was sent between the two rows must be allowed in one of the states in between. The rows are those that
 the loop logs. The voltages are read from the bytes at the service's end of the wire, before anything happens to them.
+
+The rate of each ramp is checked against the order of authority (`piezod/control/authority.py`): never slower than the
+demand that holds, and at the comfortable rate without haste. After a stop that was answered nothing drives for two
+seconds.
 """
 
 import struct
 
 from piezod.control import Cause, State
-from piezod.control.states import MAY_WRITE, TRANSITIONS, Event, Write
+from piezod.control.authority import Demand
+from piezod.control.states import DANGERS, MAY_WRITE, TRANSITIONS, Event, Write
 
+OUTRANKED_NS = 2_000_000_000  # an arm must not act for so long after a stop
+LATE_ROWS = 2  # ticks that may still drive after the answer of a stop
+LEEWAY_V = 0.02  # of a step: converter and rounding
+AMPLIFIER_FAULTS = (Cause.DEVICE_FAULT, Cause.DEVICE_TOO_HOT, Cause.MAINS_LOST)
 MOST_STEPS = 4  # events between two rows: two commands of a client, a fault, and its end
 SET_POINT = 100  # address of the voltage register
 EVENTS = {
@@ -27,10 +36,16 @@ FAULT = (Event.TRIP, Event.LATCHED)  # events of every other cause
 
 
 class Trace:
-    """What one control process logs and sends; `violate` is called with the text of each discrepancy."""
+    """What one control process logs and sends; `violate` is called with the text of each discrepancy.
 
-    def __init__(self, violate):
-        self._violate = violate
+    A slew limit and a comfortable rate [V/tick] let it judge the rate of each ramp.
+    """
+
+    def __init__(self, violate, slew_V=0.0, ramp_V=0.0):
+        self._violate, self._slew_V, self._ramp_V = violate, slew_V, ramp_V
+        self._row = None  # tick and voltage of the last row of a ramp whose exchange was good
+        self.asked_ns = self.stopped_ns = None  # first stop that may act, and answer of the last one
+        self._rows_after = 0  # rows since that answer
         self._state, self._cause = State.DISARMED, Cause.NONE
         self._sent_V, self._last_V = [], None
         self.transitions = 0
@@ -42,13 +57,41 @@ class Trace:
         if function in (16, 23) and int.from_bytes(data[at : at + 2], "big") == SET_POINT:
             self._sent_V.append(struct.unpack_from(">f", data, at + 5)[0])
 
+    def stop(self, now_ns, *, answered):
+        """A stop is sent to this process, or was answered."""
+        self.asked_ns = now_ns if self.asked_ns is None else self.asked_ns
+        if answered:
+            self.stopped_ns, self._rows_after = now_ns, 0
+
+    def judge_authority(self, row, now_ns):
+        """A row of `ROW_DTYPE`: which demand holds, and whether the output obeys it."""
+        tick, voltage_V, state, result, cause = row[0], row[4], State(row[10]), row[11], Cause(row[13])
+        if self.asked_ns is not None and now_ns > self.asked_ns + OUTRANKED_NS and state is State.ARMING:
+            self.asked_ns = self.stopped_ns = None
+        self._rows_after += 1
+        stopped = self.stopped_ns is not None and self._rows_after > LATE_ROWS
+        if stopped and MAY_WRITE[state] in (Write.PLANNED, Write.HELD):
+            self._violate(f"tick {tick}: {state.name}, {1e-9 * (now_ns - self.stopped_ns):.3f} s after a stop")
+        good = state is State.RAMP_DOWN and result == 0 and cause not in AMPLIFIER_FAULTS
+        if good and self._row is not None and self._row[0] == tick - 1:
+            demand = Demand.STOP if stopped else Demand.DANGER if cause in DANGERS else Demand.FAULT
+            fallen_V, left_V = abs(self._row[1]) - abs(voltage_V), abs(self._row[1])
+            hasty = demand is not Demand.FAULT
+            least_V = min(self._slew_V if hasty else self._ramp_V, left_V) - LEEWAY_V
+            most_V = self._ramp_V + LEEWAY_V if not hasty and self.asked_ns is None else self._slew_V + LEEWAY_V
+            if not least_V <= fallen_V <= most_V:
+                self._violate(
+                    f"tick {tick}: {fallen_V:.3f} V less by {demand.name}, must be {least_V:.3f} to {most_V:.3f}"
+                )
+        self._row = (tick, voltage_V) if good else None
+
     def add(self, tick, state, cause):
         """A row of the log."""
         state, cause, sent_V = State(state), Cause(cause), self._sent_V
         path = [self._state]
         if (state, cause) != (self._state, self._cause):
             path = self._path(state, cause)
-            self.transitions += len(path or ()) - 1
+            self.transitions += len(path or " ") - 1
             if path is None:
                 self._violate(f"tick {tick}: {self._state.name} -> {state.name} by {cause.name}: not in the table")
                 path = [self._state, state]
