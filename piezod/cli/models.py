@@ -79,14 +79,8 @@ def identify(
 
     if variant not in ("A", "B"):
         raise UsageError(f"--variant is '{variant}', must be A or B")
-    more = {
-        "plays": plays,
-        "zones": dead_zones,
-        "orders": orders,
-        "variant": variant,
-        "fit_share": fit_share,
-        "name": name,
-    }
+    more: dict[str, Any] = {"plays": plays, "zones": dead_zones, "orders": orders, "variant": variant}
+    more |= {"fit_share": fit_share, "name": name}
     text = TextOptions.of(columns, rate_hz, decimal, scale)
     result, step = identify_files(recordings, model, report, (input_column, output_column), text, force=force, **more)
     from piezod.report.identification import identification_text

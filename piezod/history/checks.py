@@ -34,12 +34,7 @@ class Check:
 
     def as_dict(self) -> dict[str, Any]:
         """The check for JSON."""
-        return {
-            "folder": str(self.folder),
-            "date": self.date,
-            "verdict": self.verdict,
-            "words": self.words,
-        }
+        return {"folder": str(self.folder), "date": self.date, "verdict": self.verdict, "words": self.words}
 
 
 def find_checks(paths: Sequence[Path]) -> list[Check]:

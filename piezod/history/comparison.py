@@ -91,11 +91,7 @@ def compare_models(first: Path, second: Path) -> ModelComparison:
     return ModelComparison((first, second), models, driven, tuple(changes), tuple(_notes(ranges, driven, models)))
 
 
-def _notes(
-    ranges: list[tuple[float, float]],
-    driven: tuple[float, float],
-    models: tuple[Model, Model],
-) -> list[str]:
+def _notes(ranges: list[tuple[float, float]], driven: tuple[float, float], models: tuple[Model, Model]) -> list[str]:
     notes = []
     differ = max(abs(end - common) for pair in ranges for end, common in zip(pair, driven, strict=True))
     if differ > SAME_RANGE * (driven[1] - driven[0]):

@@ -109,15 +109,9 @@ def choose_columns(path: Path, names: Sequence[str], given: Mapping[str, str | N
     for role, default in DEFAULTS.items():
         if role not in chosen:
             stored_column(path, names, default)
-    return (
-        chosen["input"],
-        chosen["output"],
-        [
-            f"the {role} is the column {name}; --{role} names another"
-            for role, name in chosen.items()
-            if role not in defaults
-        ],
-    )
+    others = {role: name for role, name in chosen.items() if role not in defaults}
+    notes = [f"the {role} is the column {name}; --{role} names another" for role, name in others.items()]
+    return chosen["input"], chosen["output"], notes
 
 
 def in_units_of(recording: Recording, wanted: Sequence[str]) -> tuple[Recording, list[str]]:

@@ -50,14 +50,8 @@ def fleet_text(fleet: Fleet) -> str:
 def fleet_rows(fleet: Fleet) -> list[list[str]]:
     """Table with a row for each bench; a parameter unlike the others is marked."""
     units = {key: bench.parameters[key].unit for bench in fleet.benches for key in bench.parameters}
-    head = [
-        "bench",
-        "newest verdict",
-        "recordings",
-        "damaged",
-        "models",
-        *(key.heading(units[key]) for key in fleet.keys),
-    ]
+    head = ["bench", "newest verdict", "recordings", "damaged", "models"]
+    head += [key.heading(units[key]) for key in fleet.keys]
     outlying = {key: fleet.outlying(key) for key in fleet.keys}
     return [head] + [
         [
@@ -118,15 +112,11 @@ def recordings_html(bench: BenchState) -> str:
 
 
 def _recording_row(diagnosed: Diagnosed) -> tuple[str, str, str, str]:
+    name, findings = diagnosed.recording.path.name, diagnosed.findings
     date = NONE if diagnosed.recording.date is None else f"{diagnosed.recording.date:%Y-%m-%d %H:%M}"
-    if diagnosed.findings is None:
-        return diagnosed.recording.path.name, date, "damaged", diagnosed.failed or ""
-    return (
-        diagnosed.recording.path.name,
-        date,
-        diagnosed.findings["verdict"].replace("_", " "),
-        diagnosed.findings["words"],
-    )
+    if findings is None:
+        return name, date, "damaged", diagnosed.failed or ""
+    return name, date, findings["verdict"].replace("_", " "), findings["words"]
 
 
 def _cell(bench: BenchState, key: Key, *, marked: bool) -> str:

@@ -33,15 +33,12 @@ def identification_as_dict(identification: Identification) -> dict[str, Any]:
         Model, orders and errors of an identification.
     """
     fit = identification.model.provenance.fit
-    chosen = identification.chosen
+    chosen, before = identification.chosen, identification.before_pruning
     assert chosen.fit is not None
     return {
         "schema": "piezod.identification/1",
         "orders": {"plays": chosen.plays, "dead_zones": chosen.zones},
-        "orders_before_pruning": {
-            "plays": identification.before_pruning.plays,
-            "dead_zones": identification.before_pruning.zones,
-        },
+        "orders_before_pruning": {"plays": before.plays, "dead_zones": before.zones},
         "unit": identification.model.output.unit,
         "range": identification.model.output.high - identification.model.output.low,
         "fit": {key.removesuffix("_fit"): value for key, value in fit if key.endswith("_fit")},

@@ -100,11 +100,7 @@ def _with_whole_quotes(lines: Sequence[str]) -> list[str]:
 
 
 def columns_of(
-    path: Path,
-    named: Sequence[str],
-    head: Head,
-    rows: Sequence[Sequence[str]],
-    width: int,
+    path: Path, named: Sequence[str], head: Head, rows: Sequence[Sequence[str]], width: int
 ) -> tuple[Column, ...]:
     """Columns by the user's names, else by the header; a column that the user does not want has no name."""
     header, units = list(head.names), head.units

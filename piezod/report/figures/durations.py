@@ -99,16 +99,8 @@ def histogram(title: str, source: ColumnDataSource, period_s: float | None, colo
         y_axis_type="log",
         **options,
     )
-    plot.quad(
-        left="left",
-        right="right",
-        bottom=BAR_START,
-        top="top",
-        source=source,
-        color=colour,
-        line_color="#fff",
-        name="ticks",
-    )
+    look: dict[str, Any] = {"source": source, "color": colour, "line_color": "#fff", "name": "ticks"}
+    plot.quad(left="left", right="right", bottom=BAR_START, top="top", **look)
     if period_s is not None:
         plot.add_layout(Span(location=1e6 * period_s, dimension="height", line_color=RED, line_dash="dashed"))
     plot.xaxis.ticker = LogTicker(desired_num_ticks=6)

@@ -98,10 +98,8 @@ def _why_stale(feed: Feed) -> tuple[str, str]:
     """Reason and remedy when no values come from the device, from the status of the daemon."""
     status = feed.status
     if status is None:
-        return (
-            feed.problem or "the daemon has not answered yet",
-            "start it: piezod run CONFIG, or systemctl start piezod",
-        )
+        remedy = "start it: piezod run CONFIG, or systemctl start piezod"
+        return feed.problem or "the daemon has not answered yet", remedy
     if not status["connected"]:
         return status["problem"] or "the daemon is starting", "the daemon retries automatically"
     return "the daemon answers, but its control process writes no ticks", "see its log: journalctl -u piezod"
