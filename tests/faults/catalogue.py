@@ -11,7 +11,7 @@ from piezod.config.checked import Section, check
 from piezod.config.yaml_reader import read_document
 
 LIST = Path(__file__).with_name("faults.yaml")
-COUNTS = {"T": 26, "P": 45, "M": 11, "V": 29, "C": 14, "R": 30, "D": 14, "S": 32}
+COUNTS = {"T": 26, "P": 45, "M": 11, "V": 29, "C": 17, "R": 30, "D": 14, "S": 32}
 UNITS_MS = {"ms": 1.0, "s": 1000.0}
 
 StateName = Literal["DISARMED", "ARMING", "RUNNING", "HOLD", "RAMP_DOWN", "FAULT", "none"]
