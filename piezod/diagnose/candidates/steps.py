@@ -129,7 +129,7 @@ class _Sums:
 
     @classmethod
     def of(cls, normal: Normal, number: int) -> "_Sums":
-        hessian = normal.hessian.sum(axis=0) + normal.ridge
+        hessian, gradient = normal.total
         scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
         values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
         whiten = (scale[:, None] * vectors) / np.sqrt(np.maximum(values, 1e-12))
@@ -139,7 +139,7 @@ class _Sums:
             np.concatenate(([0.0], np.cumsum(normal.weighted[number] * change))),
             np.concatenate(([0.0], np.cumsum(normal.weights[number] * change**2))),
             np.vstack((np.zeros(whiten.shape[1]), np.cumsum(columns, axis=0))) @ whiten,
-            (normal.gradient.sum(axis=0) + normal.pull) @ whiten,
+            gradient @ whiten,
         )
 
     def _parts(self, first: NDArray[np.int64], end: NDArray[np.int64]) -> tuple[Array, Array]:

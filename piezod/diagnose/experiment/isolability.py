@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from piezod.arrays import Array
 from piezod.diagnose.candidates.starts import DIRECT, Start, catalogue_starts, parts_of, recorded_channels
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import Fitted, Normal, fit
+from piezod.diagnose.hypothesis.fit import Normal, fit
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.hypothesis.sampling import best_intersample, coarse
 from piezod.diagnose.hypothesis.terms import Point, Setting, Term
@@ -155,11 +155,13 @@ def isolability(
         base = fit(chain, (), base.point)
     diagnosed = [s for s in series if s.role == "recording"]
     noise = float(np.sqrt(np.mean(np.square([s.noise_N for s in diagnosed]))))
-    names, changes = _changes(chain, base, fitted, only)
+    names, changes = _changes(chain, base.terms, base.point, fitted, only)
+    acting = np.flatnonzero(np.any([change.any(axis=0) for change in changes], axis=0))
+    names, changes = [names[k] for k in acting], [change[:, acting] for change in changes]
     if not names:
         return Isolability((), np.zeros(0), np.zeros((0, 0)), noise, tuple(notes))
     normal = Normal.at(chain, base.terms, base.point)
-    free, _, squares = normal.projected(changes)
+    free, squares = normal.projected(changes)
     samples = float(sum(np.count_nonzero(s.counts) for s in diagnosed))
     effects = tuple(dict.fromkeys(names))
     columns = {effect: np.flatnonzero([name == effect for name in names]) for effect in effects}
@@ -181,42 +183,29 @@ def untestable(chain: Chain, terms: Sequence[Term], point: Point) -> tuple[str, 
     """
     few = chain.like(chain.series, ROWS)
     normal = Normal.at(few, terms, point)
-    diagnosed = [k for k, series in enumerate(few.series) if series.role == "recording"]
-    residual = sum(float(np.sum(normal.weighted[k] ** 2)) for k in diagnosed)
-    names = {term.effect.name for term in terms}
-    starts = catalogue_starts(few, recorded_channels(few.series), {})
-    new = [start for start in starts if start[0].name not in names]
-
-    def energy_of(start: Start) -> tuple[str, float]:
-        effect, values, choices = start
-        term = Term(effect, "since", choices=choices)
-        energies = []
-        for part in parts_of(effect, values).values():
-            given = replace(point, values=(*point.values, part))
-            change = [
-                few.compared(k, (*terms, term), given) - normal.compared[k] if k in diagnosed else None
-                for k in range(len(few.series))
-            ]
-            energies.append(normal.free_energy(change))
-        return effect.name, max(energies)
-
-    energy: dict[str, float] = {}
-    for name, value in each(energy_of, new):
-        energy[name] = max(energy.get(name, 0.0), value)
-    return tuple(name for name, value in energy.items() if value < VISIBLE * residual and name not in DIRECT)
+    residual = sum(
+        float(np.sum(weighted**2))
+        for weighted, series in zip(normal.weighted, few.series, strict=True)
+        if series.role == "recording"
+    )
+    channels = recorded_channels(few.series)
+    only = {name for name, effect in EFFECTS.items() if effect.needs is None or effect.needs in channels}
+    names, changes = _changes(few, terms, point, {}, only - {term.effect.name for term in terms})
+    energies = np.diag(normal.projected(changes)[0])[:-1]
+    visible = {name for name, energy in zip(names, energies, strict=True) if energy >= VISIBLE * residual}
+    return tuple(dict.fromkeys(name for name in names if name not in visible))
 
 
 def _changes(
-    chain: Chain, base: Fitted, fitted: Settings, only: Collection[str] | None
+    chain: Chain, terms: Sequence[Term], point: Point, fitted: Settings, only: Collection[str] | None
 ) -> tuple[list[str], list[Array]]:
     """Names of the effects, and the change of each recording by each of their starts, shape (rows, starts) [N].
 
     The change by an effect of the given model adds to that effect.
     """
-    point = base.point
     diagnosed = [k for k, series in enumerate(chain.series) if series.role == "recording"]
     channels = recorded_channels([chain.series[k] for k in diagnosed])
-    before = [chain.compared(k, base.terms, point) for k in range(len(chain.series))]
+    before = [chain.compared(k, terms, point) for k in range(len(chain.series))]
     omitted = {*DIRECT, *fitted} if only is None else {*DIRECT, *fitted, *(set(EFFECTS) - set(only))}
     starts = [start for start in catalogue_starts(chain, channels, {}) if start[0].name not in omitted]
     starts += [(EFFECTS[name], *near) for name, setting in fitted.items() for near in _nearby(EFFECTS[name], setting)]
@@ -227,7 +216,7 @@ def _changes(
         term = Term(effect, "since", choices=choices)
         return [
             [
-                chain.compared(k, (*base.terms, term), replace(point, values=(*point.values, part))) - before[k]
+                chain.compared(k, (*terms, term), replace(point, values=(*point.values, part))) - before[k]
                 if k in diagnosed
                 else np.zeros(before[k].size)
                 for k in range(len(chain.series))
@@ -235,13 +224,12 @@ def _changes(
             for part in parts
         ]
 
-    names, columns = [], []
-    for (effect, _, _), parts in zip(starts, each(changed, starts), strict=True):
-        for part in parts:
-            if any(change.any() for change in part):
-                names.append(effect.name)
-                columns.append(part)
-    return names, [np.array([part[k] for part in columns]).T for k in range(len(chain.series))]
+    parts = [
+        (effect.name, part) for (effect, *_), own in zip(starts, each(changed, starts), strict=True) for part in own
+    ]
+    empty = [np.empty((compared.size, 0)) for compared in before]
+    changes = [np.hstack([none, *(part[k][:, None] for _, part in parts)]) for k, none in enumerate(empty)]
+    return [name for name, _ in parts], changes
 
 
 def _nearby(effect: Effect, setting: Setting) -> list[Setting]:

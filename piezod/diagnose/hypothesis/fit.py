@@ -11,7 +11,7 @@ from piezod.diagnose.hypothesis.basis import HATS, SPLINES
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.layout import Layout, scaled, step_of, unscaled
 from piezod.diagnose.hypothesis.terms import Point, Term
-from piezod.estimation.fit.blocks import solved, spread
+from piezod.estimation.fit.blocks import Blocks, solved, spread
 
 MOST_STEPS = 14
 REUSES, MOST_FALL = 2, 0.01
@@ -112,7 +112,7 @@ def _step_within(layout: Layout, vector: Array, current: "Normal", damping: floa
     return layout.clipped(trial)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Normal:
     """Normal equations of a hypothesis at a point, block by block; residuals in units of each recording's noise."""
 
@@ -126,10 +126,7 @@ class Normal:
     trust: list[Array]  # weights of the readings, 0 to 1
     weighted: list[Array]  # residuals times the robust weights
     weights: list[Array]  # robust weights
-    hessian: Array  # (B, P, P)
-    gradient: Array  # (B, P)
-    squares: Array  # (B,) plain squares
-    samples: Array  # (B,)
+    blocks: Blocks  # sums with the robust weights; the squares are plain
     counting: NDArray[np.bool_]  # (B,) whether the block counts
     loss: float  # Huber's loss with the penalties
     scales: list[float]  # robust standard deviation of the residuals [noise], one per recording
@@ -142,67 +139,71 @@ class Normal:
         cls, chain: Chain, terms: Sequence[Term], point: Point, near: "Normal | None" = None, *, robust: bool = True
     ) -> "Normal":
         """Normal equations of a hypothesis at a point; `near` lends the derivatives of a near point."""
-        layout = Layout(chain, terms)
-        none = np.empty(0)
-        made = cls(
+        layout, loss = Layout(chain, terms), 0.0
+        compared: list[Array] = []
+        jacobians: list[Array] = []
+        tangents: list[Array] = []
+        trust: list[Array] = []
+        weighted: list[Array] = []
+        weights: list[Array] = []
+        scales: list[float] = []
+        grams, sums, counting = [], [], []
+        for number, series in enumerate(chain.series):
+            rows = chain.rows[number]
+            if near is None:
+                tangent = chain.tangents(number, terms, point)
+                reading, jacobian = _jacobian(chain, terms, point, layout, number, tangent)
+                residual, trusted = series.residual(rows, reading)
+                jacobian *= trusted[:, None] / series.noise_N
+            else:
+                tangent, jacobian = near.tangents[number], near.jacobians[number]
+                reading = chain.compared(number, terms, point)
+                residual, trusted = series.residual(rows, reading)
+            scale = max(1.4826 * float(np.median(np.abs(residual[trusted > 0.0]))), 1e-6) if robust else np.inf
+            weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(residual), 1e-12))
+            loss += _robust(residual, scale)
+            scales.append(scale)
+            compared.append(reading)
+            jacobians.append(jacobian)
+            tangents.append(tangent)
+            trust.append(trusted)
+            weighted.append(weight * residual)
+            weights.append(weight)
+            counts = series.weights(rows)
+            for stretch, block in zip(series.blocks, thinned(series.blocks, rows.step), strict=True):
+                if near is None:
+                    grams.append(_weighted_square(jacobian[block], weight[block]))
+                side = jacobian[block].T @ weighted[-1][block]
+                sums.append((side, residual[block] @ residual[block], counts[block] @ counts[block]))
+                counting.append(series.block_counts(stretch))
+        gram = np.array(grams) if near is None else near.blocks.gram
+        blocks = Blocks(gram, *(np.array(one) for one in zip(*sums, strict=True)))
+        stiff, vector = layout.stiffness(float(blocks.samples.sum())), layout.vector(point)
+        return cls(
             chain,
             tuple(terms),
             point,
             layout,
-            [],
-            [],
-            [],
-            [],
-            [],
-            [],
-            none,
-            none,
-            none,
-            none,
-            np.empty(0, bool),
-            0.0,
-            [],
-            none,
-            none,
-            none,
+            compared,
+            jacobians,
+            tangents,
+            trust,
+            weighted,
+            weights,
+            blocks,
+            np.array(counting),
+            loss + float(stiff @ vector**2),
+            scales,
+            stiff,
+            _ridge(gram, layout) + np.diag(stiff),
+            -stiff * vector,
         )
-        hessian, gradient, squares, samples, counting = [], [], [], [], []
-        for number, series in enumerate(chain.series):
-            rows = chain.rows[number]
-            if near is None:
-                tangents = chain.tangents(number, terms, point)
-                reading, jacobian = _jacobian(chain, terms, point, layout, number, tangents)
-                residual, trust = series.residual(rows, reading)
-                jacobian *= trust[:, None] / series.noise_N
-            else:
-                tangents, jacobian = near.tangents[number], near.jacobians[number]
-                reading = chain.compared(number, terms, point)
-                residual, trust = series.residual(rows, reading)
-            weights = series.weights(rows)
-            made.trust.append(trust)
-            scale = max(1.4826 * float(np.median(np.abs(residual[trust > 0.0]))), 1e-6) if robust else np.inf
-            weight = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(residual), 1e-12))
-            made.loss += _robust(residual, scale)
-            made.scales.append(scale)
-            made.compared.append(reading)
-            made.jacobians.append(jacobian)
-            made.tangents.append(tangents)
-            made.weighted.append(weight * residual)
-            made.weights.append(weight)
-            for stretch, block in zip(series.blocks, thinned(series.blocks, rows.step), strict=True):
-                part = jacobian[block]
-                if near is None:
-                    hessian.append(_weighted_square(part, weight[block]))
-                gradient.append(part.T @ made.weighted[-1][block])
-                squares.append(float(residual[block] @ residual[block]))
-                samples.append(float(weights[block] @ weights[block]))
-                counting.append(series.block_counts(stretch))
-        made.hessian, made.gradient = np.array(hessian) if near is None else near.hessian, np.array(gradient)
-        made.squares, made.samples, made.counting = np.array(squares), np.array(samples), np.array(counting)
-        made.stiff, vector = layout.stiffness(float(made.samples.sum())), layout.vector(point)
-        made.ridge, made.pull = _ridge(made.hessian, layout) + np.diag(made.stiff), -made.stiff * vector
-        made.loss += float(made.stiff @ vector**2)
-        return made
+
+    @property
+    def total(self) -> tuple[Array, Array]:
+        """Hessian, shape (P, P), and gradient, shape (P,), of all blocks and the penalties."""
+        hessian, gradient = self.blocks.total
+        return hessian + self.ridge, gradient + self.pull
 
     def readings(self) -> list[Array]:
         """Simulated readings of all samples, an array of shape (N,) per recording [N]."""
@@ -219,86 +220,62 @@ class Normal:
 
     def step(self, damping: float, held: Array) -> Array:
         """Levenberg-Marquardt step, shape (P,); a parameter whose `held` is not nan moves by that amount."""
-        hessian = self.hessian.sum(axis=0) + self.ridge
-        hessian += damping * np.diag(np.diag(hessian))
-        free, step = np.isnan(held), np.nan_to_num(held)
-        side = self.gradient.sum(axis=0) + self.pull - hessian @ step
-        step[free] = solved(hessian[np.ix_(free, free)], side[free])
-        return step
+        hessian, gradient = self.total
+        return solved(hessian + damping * np.diag(np.diag(hessian)), gradient, held)
 
-    def projected(self, columns: Sequence[Array]) -> tuple[Array, Array, Array]:
-        """Normal equations of further columns, with the fitted parameters projected off.
+    def beside(self, columns: Sequence[Array]) -> tuple[Blocks, Array]:
+        """Sums of the fitted columns with K further columns and the residual as targets, and the pull of the penalties.
 
         Parameters
         ----------
         columns
             Columns of the compared readings, an array of shape (rows, K) per recording [N].
+        """
+        sides, squares = [], []
+        for number, series in enumerate(self.chain.series):
+            scaled = columns[number] * (self.trust[number] / series.noise_N)[:, None]
+            weighted = self.weights[number][:, None] * scaled
+            for block in thinned(series.blocks, self.chain.rows[number].step):
+                sides.append(self.jacobians[number][block].T @ weighted[block])
+                rows = np.hstack((weighted[block], self.weighted[number][block, None]))
+                squares.append(scaled[block].T @ rows)
+        blocks, inner = self.blocks, np.array(squares)
+        side = np.concatenate((np.array(sides), blocks.side[:, :, None]), axis=2)
+        last = np.concatenate((inner[:, :, -1], blocks.square[:, None]), axis=1)
+        pull = np.zeros(side.shape[1:])
+        pull[:, -1] = self.pull
+        return Blocks(blocks.gram, side, np.concatenate((inner, last[:, None, :]), axis=1), blocks.samples), pull
+
+    def projected(self, columns: Sequence[Array]) -> tuple[Array, Array]:
+        """Products of further columns and of the residual without what the fitted parameters follow; see `beside`.
 
         Returns
         -------
         tuple
-            Hessian, shape (K, K); gradient, shape (K,); square of each column before the projection, shape (K,).
+            Products, shape (K + 1, K + 1); square of each column before the projection, shape (K,).
         """
-        count = columns[0].shape[1]
-        across, inner, along = np.zeros((self.ridge.shape[0], count)), np.zeros((count, count)), np.zeros(count)
-        for number, series in enumerate(self.chain.series):
-            scaled = columns[number] * (self.trust[number] / series.noise_N)[:, None]
-            weighted = self.weights[number][:, None] * scaled
-            across += self.jacobians[number].T @ weighted
-            inner += scaled.T @ weighted
-            along += scaled.T @ self.weighted[number]
-        hessian, gradient = self.hessian.sum(axis=0) + self.ridge, self.gradient.sum(axis=0) + self.pull
-        fitted = solved(hessian, across)
-        return inner - across.T @ fitted, along - fitted.T @ gradient, np.diag(inner)
-
-    def free_energy(self, change: Sequence[Array | None]) -> float:
-        """Square of the part of a change that the fitted parameters cannot follow [noise variance].
-
-        Parameters
-        ----------
-        change
-            Change of the compared readings: an array of shape (rows,) per recording [N], or None for no change.
-        """
-        across, inner = np.zeros(self.ridge.shape[0]), 0.0
-        for number, change_N in enumerate(change):
-            if change_N is not None:
-                series = self.chain.series[number]
-                scaled = change_N * self.trust[number] / series.noise_N
-                weighted = self.weights[number] * scaled
-                across += self.jacobians[number].T @ weighted
-                inner += float(scaled @ weighted)
-        return inner - float(solved(self.hessian.sum(axis=0) + self.ridge, across) @ across)
+        sums, pull = self.beside(columns)
+        squares = np.diag(sums.square.sum(axis=0))[:-1]
+        return sums.left(sums.solve(penalty=self.ridge, pull=pull), pull), squares
 
     def left_out_moves(self, held: Array | None = None) -> Array:
         """Change of the fitted vector when a block is left out, shape (B, P), by one linear step.
 
-        A weak prior holds a parameter that one block alone determines. A parameter whose `held` is not nan stays.
+        A weak prior holds a parameter that one block alone determines. A parameter whose `held` is not nan moves by it.
         """
-        hessian = self.hessian.sum(axis=0) + self.ridge + self.layout.prior(self.chain, self.point)
-        gradient = self.gradient.sum(axis=0) + self.pull
-        free = np.full(gradient.size, True) if held is None else np.isnan(held)
-        moves, within = np.zeros(self.gradient.shape), np.ix_(free, free)
-        for move, block, side in zip(moves, self.hessian, self.gradient, strict=True):
-            move[free] = solved((hessian - block)[within], (gradient - side)[free])
-        return moves
+        return self.blocks.without(self.ridge + self.layout.prior(self.chain, self.point), self.pull, held)
 
     def fitted(self) -> Fitted:
         """Fit with the leave-one-block-out losses, by one linear step."""
         moves = self.left_out_moves()
-        losses = np.array(
-            [
-                square - 2.0 * move @ side + move @ block @ move
-                for square, move, side, block in zip(self.squares, moves, self.gradient, self.hessian, strict=True)
-            ]
-        )
-        jackknife = np.sqrt(np.diag(spread(moves)))
+        losses, jackknife = self.blocks.errors(moves), np.sqrt(np.diag(spread(moves)))
         errors: tuple[dict[str, float], ...] = tuple({} for _ in self.terms)
         for place, (term, parameter) in enumerate(self.layout.searched, start=self.layout.effects):
             errors[term][parameter.name] = float(jackknife[place])
-        counted = np.where(self.counting, self.samples, 0.0)
-        samples = np.maximum(self.samples, 1.0)
+        counted = np.where(self.counting, self.blocks.samples, 0.0)
+        samples = np.maximum(self.blocks.samples, 1.0)
         left_out = np.where(self.counting, np.maximum(losses, 1e-12), 1e-12) / samples
-        return Fitted(self.terms, self.point, left_out, self.counting * self.squares / samples, counted, errors)
+        return Fitted(self.terms, self.point, left_out, self.counting * self.blocks.square / samples, counted, errors)
 
 
 def _jacobian(

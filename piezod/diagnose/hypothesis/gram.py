@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.arrays import Array
-from piezod.diagnose.hypothesis.fit import Normal, thinned
-from piezod.estimation.fit.blocks import solved
+from piezod.diagnose.hypothesis.fit import Normal
+from piezod.estimation.fit.blocks import Blocks, solved
 
 INDEPENDENT = 1e-6  # least share of a column's square that the fitted parameters do not follow
 INDEPENDENT_PAIR = 1e-4  # least share of a column's square that another column does not follow either
@@ -63,43 +63,20 @@ class Eliminated:
         acts
             Recordings in which the columns act, each of shape (R,): the C columns are used once with each entry.
         """
-        parameters, blocks, recordings = normal.ridge.shape[0], [], []
-        for number, series in enumerate(normal.chain.series):
-            scale = (normal.trust[number] / series.noise_N)[:, None]
-            parts = normal.jacobians[number], columns[number] * scale, normal.weighted[number][:, None]
-            rows = np.hstack(parts)
-            for block in thinned(series.blocks, normal.chain.rows[number].step):
-                blocks.append(rows[block].T @ rows[block])
-                recordings.append(number)
-        count = columns[0].shape[1]
-        source = np.concatenate([parameters + np.arange(count)] * len(acts) + [[parameters + count]]).astype(int)
+        (sums, pull), count = normal.beside(columns), columns[0].shape[1]
+        recordings = [number for number, series in enumerate(normal.chain.series) for _ in series.blocks]
+        source = np.concatenate([np.arange(count)] * len(acts) + [[count]]).astype(int)
         factor = np.hstack([np.repeat(acting[recordings][:, None], count, axis=1) for acting in acts])
-        factor = np.hstack((factor, np.ones((len(blocks), 1))))
-        return cls._of(normal, np.array(blocks), source, factor)
-
-    @classmethod
-    def _of(cls, normal: Normal, blocks: Array, source: NDArray[np.int64], factor: Array) -> "Eliminated":
-        """Products of the columns `source`, times a factor in each block, shape (B, K + 1)."""
-        fitted = slice(0, normal.ridge.shape[0])
-        hessian, across = blocks[:, fitted, fitted], blocks[:, fitted][:, :, source] * factor[:, None, :]
-        inner = blocks[:, source][:, :, source] * factor[:, :, None] * factor[:, None, :]
-        curvature = hessian.sum(axis=0) + normal.ridge
-        all_across, all_inner = across.sum(axis=0), inner.sum(axis=0)
-        all_across[:, -1] += normal.pull
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
-        moves = _solved(curvature, all_across, scale)
-        held = curvature + normal.layout.prior(normal.chain, normal.point)
-        training, left_out = np.empty_like(inner), np.zeros_like(inner)
-        for b in range(len(blocks)):
-            sides = all_across - across[b]
-            followed = _solved(held - hessian[b], sides, scale)
-            training[b] = all_inner - inner[b] - sides.T @ followed
-            if normal.counting[b]:
-                once = across[b].T @ followed
-                left_out[b] = inner[b] - once - once.T + followed.T @ (hessian[b] @ followed)
-        counted = float(normal.samples[normal.counting].sum())
-        whole = all_inner - all_across.T @ moves
-        return cls(whole, training, left_out, np.diag(all_inner), moves, counted)
+        factor = np.hstack((factor, np.ones((len(recordings), 1))))
+        inner = sums.square[:, source].take(source, axis=2) * factor[:, :, None] * factor[:, None, :]
+        sums = Blocks(sums.gram, sums.side.take(source, axis=2) * factor[:, None, :], inner, sums.samples)
+        pull = pull[:, source]
+        moves = sums.solve(penalty=normal.ridge, pull=pull)
+        followed = sums.without(normal.ridge + normal.layout.prior(normal.chain, normal.point), pull)
+        left_out = sums.errors(followed) * normal.counting[:, None, None]
+        counted = float(sums.samples[normal.counting].sum())
+        squares = np.diag(sums.square.sum(axis=0))
+        return cls(sums.left(moves, pull), sums.left(followed, pull), left_out, squares, moves, counted)
 
     @property
     def loss(self) -> float:
@@ -133,10 +110,8 @@ class Eliminated:
 
     def _loss(self, chosen: NDArray[np.int64], fitted: Array) -> float:
         """Loss with multiples of columns in each block, shape (B, columns)."""
-        across = self.left_out[:, chosen, -1]
-        inner = self.left_out[:, chosen[:, None], chosen]
-        squares = self.left_out[:, -1, -1] - 2.0 * np.sum(fitted * across, axis=1)
-        squares += np.einsum("bi,bij,bj->b", fitted, inner, fitted)
+        across, inner = self.left_out[:, chosen, -1], self.left_out[:, chosen[:, None], chosen]
+        squares = Blocks(inner, across, self.left_out[:, -1, -1], np.empty(0)).errors(fitted)
         return float(np.maximum(squares, 0.0).sum()) / self.counted
 
     def pair_gains(self, groups: Sequence[Sequence[int]]) -> Array:
@@ -159,13 +134,3 @@ class Eliminated:
         gains = np.where(pairs, gains, 0.0)
         np.fill_diagonal(gains, np.where(independent, alone, 0.0))
         return gains
-
-
-def _solved(matrix: Array, sides: Array, scale: Array) -> Array:
-    """Solutions of normal equations for several sides, shape (P, K); zeros where there is none."""
-    scaled = matrix * np.outer(scale, scale) + 1e-13 * np.eye(scale.size)
-    try:
-        result: Array = scale[:, None] * np.linalg.solve(scaled, scale[:, None] * sides)
-    except np.linalg.LinAlgError:
-        result = np.zeros_like(sides)
-    return result

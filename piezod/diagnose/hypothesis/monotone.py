@@ -63,9 +63,10 @@ def _rising(chain: Chain, layout: Layout) -> Constraints:
 
 def _trial(normal: Normal, constraints: Constraints, vector: Array, damping: float) -> Array | None:
     """Vector after a damped step within the constraints; None where the program is too ill-conditioned."""
-    hessian, gradient = normal.hessian.sum(axis=0) + normal.ridge, normal.gradient.sum(axis=0) + normal.pull
-    hessian += damping * np.diag(np.diag(hessian))
+    hessian, gradient = normal.total
     try:
-        return normal.layout.clipped(solve_step(hessian, gradient, constraints, vector))
+        return normal.layout.clipped(
+            solve_step(hessian + damping * np.diag(np.diag(hessian)), gradient, constraints, vector)
+        )
     except RecordingError:
         return None

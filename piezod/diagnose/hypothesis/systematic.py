@@ -33,7 +33,7 @@ def systematic_errors(chain: Chain, fitted: Fitted) -> tuple[dict[str, float], .
     """
     normal = Normal.at(chain, [replace(term, held=False) for term in fitted.terms], fitted.point)
     layout = normal.layout
-    hessian = normal.hessian.sum(axis=0) + normal.ridge + layout.prior(chain, fitted.point)
+    hessian = normal.total[0] + layout.prior(chain, fitted.point)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     inverse = np.linalg.pinv(hessian * np.outer(scale, scale), rcond=1e-13, hermitian=True)
     variances = np.maximum(np.diag(inverse), 0.0) * scale**2
@@ -64,7 +64,7 @@ def _shifts_by_time(normal: Normal, hessian: Array) -> Array:
     A fitted delay is kept, since the recordings show only the sum of time and delay.
     """
     kept = [normal.terms[term].effect.is_delay for term, _ in normal.layout.searched]
-    free = np.flatnonzero([True] * normal.layout.effects + [not one for one in kept])
+    held = np.array([np.nan] * normal.layout.effects + [0.0 if one else np.nan for one in kept])
     along, square, dt_s = np.zeros(hessian.shape[0]), 0.0, 0.0
     for number, series in enumerate(normal.chain.series):
         if series.role != "recording" or series.hold == series.recorded_hold:
@@ -75,11 +75,10 @@ def _shifts_by_time(normal: Normal, hessian: Array) -> Array:
         along += normal.jacobians[number].T @ weighted
         square += float(weighted @ slope)
         dt_s = max(dt_s, series.dt_s)
-    shifts = np.zeros(along.size)
     if dt_s == 0.0:
-        return shifts
-    per_second = solved(hessian[np.ix_(free, free)], along[free])
-    information = max(square - float(along[free] @ per_second), 0.0)
-    tolerance = EQUAL * float(normal.squares.sum())  # of the sum of squares, as in the choice of a hold
-    shifts[free] = per_second / np.sqrt((TIME * dt_s) ** -2.0 + information / max(tolerance, 1e-300))
+        return along
+    per_second = solved(hessian, along, held)
+    information = max(square - float(along @ per_second), 0.0)
+    tolerance = EQUAL * float(normal.blocks.square.sum())  # of the sum of squares, as in the choice of a hold
+    shifts: Array = per_second / np.sqrt((TIME * dt_s) ** -2.0 + information / max(tolerance, 1e-300))
     return shifts

@@ -120,7 +120,8 @@ def _merged(known_V: Array, known: Array, more_V: Array, more: Array) -> tuple[A
 def _chosen(chain: Chain, normal: Normal, plays_V: Array, kinks_V: Array) -> tuple[Array, Array]:
     """Numbers of the corners with the largest gains, chosen one after the other (plays before kinks), and weights."""
     columns = [np.hstack(parts) for parts in zip(*_columns(chain, normal, plays_V, kinks_V), strict=True)]
-    gram, sides, squares = normal.projected(columns)
+    products, squares = normal.projected(columns)
+    gram, sides = products[:-1, :-1], products[:-1, -1]
     least = LEAST_GAIN * sum(float(residual @ residual) for residual in normal.weighted)
     inner, along, chosen = gram.copy(), sides.copy(), list[int]()
     while len(chosen) < MOST_CORNERS:

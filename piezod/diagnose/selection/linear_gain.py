@@ -52,8 +52,10 @@ class LinearGains:
         others = [k for k, term in enumerate(fitted.terms) if term.effect.name != name]
         terms = [fitted.terms[k] for k in others]
         point = replace(fitted.point, values=tuple(fitted.point.values[k] for k in others))
-        changes = [self._few.compared(k, terms, point) - compared_N for k, compared_N in enumerate(normal.compared)]
-        return normal.free_energy(changes) / float(normal.samples.sum()) > RULES.worth / NEAR * fitted.loss
+        compared = enumerate(normal.compared)
+        changes = [(self._few.compared(k, terms, point) - compared_N)[:, None] for k, compared_N in compared]
+        energy = float(normal.projected(changes)[0][0, 0])
+        return energy / float(normal.blocks.samples.sum()) > RULES.worth / NEAR * fitted.loss
 
 
 def is_near(before: float, after: float, steady: float, least: float = 0.0) -> bool:

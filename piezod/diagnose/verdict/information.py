@@ -144,9 +144,9 @@ def _figure_errors(normal: Normal, low: float, high: float, simulated: Sequence[
     moves = normal.left_out_moves() @ gradient.T
     variances = np.diag(spread(moves)).copy()
     edges = np.cumsum([0, *(len(series.blocks) for series in normal.chain.series)])
-    follows = solved(normal.hessian.sum(axis=0) + normal.ridge, gradient.T).T
+    follows = solved(normal.total[0], gradient.T).T
     for number in simulated:
-        noise = normal.hessian[edges[number] : edges[number + 1]].sum(axis=0)
+        noise = normal.blocks.gram[edges[number] : edges[number + 1]].sum(axis=0)
         variances += np.einsum("ij,jk,ik->i", follows, noise, follows)
     gain, loop_width = np.sqrt(variances)
     return BaseFigures(float(gain), float(loop_width))

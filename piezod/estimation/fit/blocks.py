@@ -82,9 +82,22 @@ class Blocks:
         gram, side = self.rest(omitted) if len(omitted) else self.total
         return solved(gram + penalty, side + pull)
 
-    def without(self, penalty: Array | float = 0.0, pull: Array | float = 0.0) -> Array:
-        """Parameters fitted without each block, shape of `side`; see `solve`."""
-        return np.array([self.solve([k], penalty, pull) for k in range(self.square.shape[0])])
+    def without(self, penalty: Array | float = 0.0, pull: Array | float = 0.0, held: Array | None = None) -> Array:
+        """Parameters fitted without each block, shape of `side`; see `solve` and `solved`."""
+        gram, side = self.total
+        pairs = zip(self.gram, self.side, strict=True)
+        return np.array([solved(gram - own + penalty, side - along + pull, held) for own, along in pairs])
+
+    def left(self, parameters: Array, pull: Array | float = 0.0) -> Array:
+        """Products of K targets less what fitted parameters follow, shape (K, K), over all blocks.
+
+        Parameters without each block, as `without` returns them, give the products over the others, shape (B, K, K).
+        """
+        side, square = self.total[1], self.square.sum(axis=0)
+        if parameters.ndim == self.side.ndim:
+            side, square = side - self.side, square - self.square
+        result: Array = square - np.swapaxes(side + pull, -1, -2) @ parameters
+        return result
 
     def errors(self, parameters: Array) -> Array:
         """Squared error of every block, shape of `square`, at parameters of its own or of all, shape of a side."""
@@ -98,12 +111,19 @@ class Blocks:
         return products
 
 
-def solved(matrix: Array, side: Array) -> Array:
-    """Solution of normal equations, shape of the side, (P,) or (P, K), on scaled columns; zeros where there is none."""
+def solved(matrix: Array, side: Array, held: Array | None = None) -> Array:
+    """Solution of normal equations, shape of the side, (P,) or (P, K), on scaled columns; zeros where there is none.
+
+    A parameter whose `held`, shape (P,), is not nan has that value; the side is then a vector.
+    """
+    if held is not None:
+        free, result = np.isnan(held), np.nan_to_num(held)
+        result[free] = solved(matrix[np.ix_(free, free)], (side - matrix @ result)[free])
+        return result
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = matrix * np.outer(scale, scale) + DEPENDENT * np.eye(scale.size)
     try:
-        result: Array = (np.linalg.solve(scaled, (side.T * scale).T).T * scale).T
+        result = (np.linalg.solve(scaled, (side.T * scale).T).T * scale).T
     except np.linalg.LinAlgError:
         result = np.zeros_like(side)
     return result

@@ -130,6 +130,6 @@ def test_residuals_far_from_the_noise_count_as_they_are_where_a_fit_is_not_robus
     plain = Normal.at(other, (), point, robust=False)
     assert all((weights == 1.0).all() for weights in plain.weights)
     assert plain.loss == pytest.approx(
-        float(plain.squares.sum()) + float(plain.stiff @ plain.layout.vector(point) ** 2)
+        float(plain.blocks.square.sum()) + float(plain.stiff @ plain.layout.vector(point) ** 2)
     )
     assert any((weights < 1.0).any() for weights in Normal.at(other, (), point).weights)

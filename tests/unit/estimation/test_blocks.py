@@ -43,6 +43,27 @@ def test_several_targets_have_the_products_of_their_errors(rows):
         np.testing.assert_allclose(own, left.T @ left, rtol=1e-9)
 
 
+def test_targets_lose_what_the_columns_follow_of_them(rows):
+    columns, target = rows
+    targets = np.column_stack((target, np.roll(target, 7)))
+    sums, nothing = Blocks.of(columns, targets, PARTS), Blocks.of(columns, targets[:, :0], PARTS)
+    kept = np.arange(30, 100)
+    for rows_of_fit, products in ((np.arange(100), sums.left(sums.solve())), (kept, sums.left(sums.without())[0])):
+        used = columns[rows_of_fit]
+        left = targets[rows_of_fit] - used @ np.linalg.lstsq(used, targets[rows_of_fit], rcond=None)[0]
+        np.testing.assert_allclose(products, left.T @ left, rtol=1e-8)
+    assert nothing.left(nothing.without()).shape == (3, 0, 0)
+
+
+def test_a_held_parameter_keeps_its_value_and_the_others_are_fitted_beside_it(rows):
+    columns, target = rows
+    held = np.array([np.nan, np.nan, 300.0, np.nan])
+    fitted = solved(columns.T @ columns, columns.T @ target, held)
+    others = np.delete(columns, 2, axis=1)
+    expected = np.linalg.lstsq(others, target - 300.0 * columns[:, 2], rcond=None)[0]
+    np.testing.assert_allclose(fitted, np.insert(expected, 2, 300.0), rtol=1e-9)
+
+
 def test_folds_and_recordings_keep_the_sums_and_the_samples(rows):
     columns, target = rows
     joined = Blocks.all_of([Blocks.of(columns, target, PARTS[:2]), Blocks.of(columns, target, PARTS[2:])])
