@@ -8,6 +8,7 @@ import numpy as np
 
 from piezod.arrays import Array
 from piezod.estimation.base.smooth_base import Base
+from piezod.estimation.fit.blocks import Blocks
 from piezod.estimation.fit.columns import (
     Samples,
     Structure,
@@ -17,7 +18,7 @@ from piezod.estimation.fit.columns import (
     zone_weights_of,
 )
 from piezod.estimation.fit.gauss_newton import minimise
-from piezod.estimation.fit.normal_equations import Piece, Sums, accumulate_gram, merged, pieces_of, sums_of
+from piezod.estimation.fit.normal_equations import Piece, accumulate_gram, merged, pieces_of, sums_of
 from piezod.estimation.fit.quadratic_program import Constraints, Variant, solve_step
 from piezod.model.parameters import Hysteresis, Superposition
 from piezod.operators import EPS
@@ -98,10 +99,10 @@ def _pieces(structure: Structure, recordings: Sequence[Samples]) -> Callable[[],
 
 def fit_of_base(base: Base) -> Fit:
     """The smooth base as a `Fit`, from which a model is made."""
-    return _fit(base.structure, base.zones, base.parameters, base.sums, base.sums.hessian.sum(axis=0), base.eps)
+    return _fit(base.structure, base.zones, base.parameters, base.sums, base.sums.total[0], base.eps)
 
 
-def _fit(structure: Structure, zones: Array, parameters: Array, sums: Sums, gram: Array, eps: float) -> Fit:
+def _fit(structure: Structure, zones: Array, parameters: Array, sums: Blocks, gram: Array, eps: float) -> Fit:
     bounded, law = parameters.copy(), slice(parameters.size - zones.size, None)
     bounded[law] = np.maximum(bounded[law], (1.0 + 1e-9) * eps * bounded[law].max())
     # the solver satisfies a bound within its tolerance only
@@ -143,14 +144,14 @@ def _refine(
     start: Array,
     pieces: Callable[[], Iterable[Piece]],
     constraints: Constraints,
-) -> tuple[Array, Sums]:
+) -> tuple[Array, Blocks]:
     """Parameters with the least output error, and their normal equations.
 
     The error of the first program is in the input's unit. Its regressors contain the noisy output, which biases the
     dead-zone slopes; the regressors of the output error do not.
     """
 
-    def sums_at(parameters: Array) -> Sums:
+    def sums_at(parameters: Array) -> Blocks:
         return sums_of(pieces(), structure, zones, parameters)
 
     no_penalty = np.zeros((start.size, start.size))

@@ -59,8 +59,7 @@ class _Problem:
     def __init__(self, folds: Blocks, levels: Mask) -> None:
         squares = np.diag(folds.total[0])
         self.scale, self.levels = 1.0 / np.sqrt(np.maximum(squares, 1e-12 * squares.max())), levels
-        gram = folds.gram * np.outer(self.scale, self.scale)
-        self.folds = Blocks(gram, folds.side * self.scale, folds.square, folds.samples)
+        self.folds = folds.along(np.diag(self.scale))
         self.penalty = np.where(levels, 1e-9, self._variance() + 1e-9)
 
     def _variance(self) -> Array:

@@ -51,7 +51,7 @@ def reduced(base: Base, recordings: Sequence[Samples], loss: float) -> Base:
         fewer[:, place] += merging[:, place + 1]
         slopes, covariance = _solved(base, fewer, elsewhere)
         step = fewer @ slopes - base.parameters
-        growth = base.sums.expected_loss(step) - float(base.sums.loss.sum())
+        growth = float(base.sums.errors(step).sum() - base.sums.square.sum())
         if max(growth, float(step @ elsewhere @ step)) > allowed:
             break
         merging, plays = fewer, plays - (place < plays)
@@ -84,15 +84,16 @@ def _random_input_curvature(base: Base, recordings: Sequence[Samples]) -> Array:
         work = np.interp(moves, np.arange(REVERSALS), levels)
         drawn.append(Samples(work, np.zeros(work.size), np.ones(work.size, dtype=bool), None, ()))
     sums = sums_of(pieces_of(base.structure, drawn), base.structure, base.zones, base.parameters)
-    result: Array = sums.hessian.sum(axis=0) * (float(base.sums.samples.sum()) / float(sums.samples.sum()))
+    result: Array = sums.total[0] * (float(base.sums.samples.sum()) / float(sums.samples.sum()))
     return result
 
 
 def _quadratic(base: Base, merging: Array, elsewhere: Array) -> tuple[Array, Array]:
     """C, shape (k, k), and b, shape (k,), in the cost x' C x - 2 b' x of the groups' slopes."""
-    hessian, gradient = base.sums.hessian.sum(axis=0) + elsewhere, base.sums.gradient.sum(axis=0)
+    gram, side = base.sums.total
+    hessian = gram + elsewhere
     curvature = merging.T @ (hessian + base.penalty) @ merging
-    return curvature, merging.T @ (gradient + hessian @ base.parameters)
+    return curvature, merging.T @ (side + hessian @ base.parameters)
 
 
 def _solved(base: Base, merging: Array, elsewhere: Array) -> tuple[Array, Array]:

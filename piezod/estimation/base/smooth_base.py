@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezod.arrays import Array
+from piezod.estimation.fit.blocks import Blocks
 from piezod.estimation.fit.columns import Samples, Structure, clocks_of
 from piezod.estimation.fit.gauss_newton import minimise, penalised_step
-from piezod.estimation.fit.normal_equations import GROUPS, Piece, Sums, merged, pieces_of, sums_of
+from piezod.estimation.fit.normal_equations import Piece, merged, pieces_of, sums_of
 from piezod.estimation.fit.quadratic_program import Constraints, solve_step
 
 WEIGHTS = 10.0 ** np.arange(-9.0, 2.0)
@@ -43,17 +44,16 @@ class Base:
     structure: Structure
     zones: Array  # thresholds of the force law, shape (m + 1,), from 0 [input unit]
     parameters: Array  # p: play slopes, a constant, drifts, slopes of the force law, shape (q,)
-    sums: Sums  # normal equations at the parameters, over every sample
+    sums: Blocks  # normal equations at the parameters, over every sample
     penalty: Array  # shape (q, q) [output unit^2]; the fit minimises loss + p' penalty p
     constraints: Constraints
     eps: float  # smallest slope, see `fit_smooth_base`
 
     def without(self, group: int) -> Array:
         """Parameters of the fit without a group of bands, shape (q,), within the bounds."""
-        rest = np.arange(GROUPS) != group
-        hessian = self.sums.hessian[rest].sum(axis=0) + self.penalty
-        gradient = self.sums.gradient[rest].sum(axis=0) - self.penalty @ self.parameters
-        return solve_step(hessian, gradient, self.constraints, self.parameters)
+        gram, side = self.sums.rest([group])
+        pull = -self.penalty @ self.parameters
+        return solve_step(gram + self.penalty, side + pull, self.constraints, self.parameters)
 
 
 def fit_smooth_base(structure: Structure, zones: Array, recordings: Sequence[Samples], eps: float) -> Base:
@@ -140,7 +140,7 @@ class _Solver:
     def fit(self, pieces: Sequence[Piece], start: Array, penalty: Array) -> Base:
         """Base with the least penalised error over the pieces."""
 
-        def sums_at(parameters: Array) -> Sums:
+        def sums_at(parameters: Array) -> Blocks:
             return sums_of(pieces, self._structure, self._zones, parameters)
 
         return self.base(*minimise(sums_at, self._bounds, start, penalty, ENOUGH, MOST_STEPS), penalty)
@@ -152,7 +152,7 @@ class _Solver:
         better = base.parameters + penalised_step(sums, bounds, base.penalty, base.parameters)
         return self.base(better, sums_of(pieces(), self._structure, self._zones, better), base.penalty)
 
-    def base(self, parameters: Array, sums: Sums, penalty: Array) -> Base:
+    def base(self, parameters: Array, sums: Blocks, penalty: Array) -> Base:
         """A base from parameters and their sums."""
         return Base(self._structure, self._zones, parameters, sums, penalty, self._bounds(parameters), self._eps)
 
@@ -165,11 +165,11 @@ class _Solver:
         sums = sums_of(pieces, self._structure, self._zones, start)
         return self.fit(pieces, start, self._weighted(sums, FIRST_WEIGHTS))
 
-    def _weighted(self, sums: Sums, weights: tuple[float, float]) -> Array:
+    def _weighted(self, sums: Blocks, weights: tuple[float, float]) -> Array:
         """Penalty with weights relative to the Hessian of the data, shape (q, q)."""
-        hessian, result = sums.hessian.sum(axis=0), np.zeros((self._count, self._count))
+        (gram, _), result = sums.total, np.zeros((self._count, self._count))
         for part, weight in zip(self._tables, weights, strict=True):
-            power = float(np.trace(hessian[part, part]))
+            power = float(np.trace(gram[part, part]))
             identity = np.eye(part.stop - part.start)
             for order, share in ((2, weight), (1, CONTINUES)):
                 if identity.shape[0] > order:
@@ -190,13 +190,8 @@ class _Solver:
 
     def held_out_loss(self, base: Base, penalty: Array) -> float:
         """Squared error over all groups, each predicted by a fit of the other groups without the bounds."""
-        sums, at = base.sums, base.parameters
         equality = self._constraints.equality
         assert equality is not None
         free = np.linalg.svd(equality[None, :])[2][1:].T
-        hessian = sums.hessian.sum(axis=0) - sums.hessian + penalty
-        gradient = sums.gradient.sum(axis=0) - sums.gradient - penalty @ at
-        reduced = free.T @ hessian @ free
-        steps = np.linalg.solve(reduced, (gradient @ free)[:, :, None])[:, :, 0] @ free.T
-        quadratic = np.einsum("gi,gij,gj->g", steps, sums.hessian, steps)
-        return float(np.sum(sums.loss - 2.0 * np.einsum("gi,gi->g", steps, sums.gradient) + quadratic))
+        reduced, pull = base.sums.along(free), -penalty @ base.parameters
+        return float(reduced.errors(reduced.without(free.T @ penalty @ free, pull @ free)).sum())

@@ -63,6 +63,15 @@ class Blocks:
         """Some of the blocks."""
         return Blocks(self.gram[chosen], self.side[chosen], self.square[chosen], self.samples[chosen])
 
+    def along(self, directions: Array) -> "Blocks":
+        """Sums of combinations of the columns, the columns of `directions`, shape (P, Q); of one target."""
+        return Blocks(directions.T @ self.gram @ directions, self.side @ directions, self.square, self.samples)
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of one target."""
+        return float(np.sqrt(self.square.sum() / self.samples.sum()))
+
     @cached_property
     def total(self) -> tuple[Array, Array]:
         """Gram and side over all blocks."""

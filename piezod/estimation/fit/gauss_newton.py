@@ -5,20 +5,20 @@ from collections.abc import Callable
 import numpy as np
 
 from piezod.arrays import Array
-from piezod.estimation.fit.normal_equations import Sums
+from piezod.estimation.fit.blocks import Blocks
 from piezod.estimation.fit.quadratic_program import Constraints, solve_step
 
 SHORTENED = 0.25  # factor by which a step that raises the cost is shortened
 
 
 def minimise(
-    sums_at: Callable[[Array], Sums],
+    sums_at: Callable[[Array], Blocks],
     bounds_at: Callable[[Array], Constraints],
     start: Array,
     penalty: Array,
     enough: float,
     most_steps: int,
-) -> tuple[Array, Sums]:
+) -> tuple[Array, Blocks]:
     """Parameters p with the least loss + p' penalty p, and their normal equations.
 
     Parameters
@@ -36,11 +36,11 @@ def minimise(
     step, length, parameters = np.zeros_like(start), 1.0, start
     for _ in range(most_steps):
         sums = sums_at(parameters)
-        cost = float(sums.loss.sum() + parameters @ penalty @ parameters)
+        cost = float(sums.square.sum() + parameters @ penalty @ parameters)
         if cost < best_cost:
             best, best_cost, best_sums, length = parameters, cost, sums, 1.0
             step = penalised_step(sums, bounds_at(best), penalty, best)
-            after = sums.expected_loss(step) + float((best + step) @ penalty @ (best + step))
+            after = float(sums.errors(step).sum()) + float((best + step) @ penalty @ (best + step))
             if best_cost - after <= enough * best_cost:
                 break
         else:
@@ -50,7 +50,7 @@ def minimise(
     return best, best_sums
 
 
-def penalised_step(sums: Sums, bounds: Constraints, penalty: Array, at: Array) -> Array:
+def penalised_step(sums: Blocks, bounds: Constraints, penalty: Array, at: Array) -> Array:
     """Step from the parameters `at` to the minimum of the quadratic approximation within bounds, shape (q,)."""
-    hessian, gradient = sums.hessian.sum(axis=0) + penalty, sums.gradient.sum(axis=0) - penalty @ at
-    return solve_step(hessian, gradient, bounds, at) - at
+    gram, side = sums.total
+    return solve_step(gram + penalty, side - penalty @ at, bounds, at) - at

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.arrays import Array
+from piezod.estimation.fit.blocks import Blocks
 from piezod.estimation.fit.columns import CHUNK, PlaySegments, Samples, Structure, clocks_of, zone_segments
 
 GROUPS = 8  # groups of bands; each is held out once
@@ -33,29 +34,6 @@ class Piece:
     drifts: Array  # clock of the recording in its own column, shape (R, clocks) [1]
     group: int  # group number, from 0
     samples: int = 1  # number of samples per row
-
-
-@dataclass(frozen=True)
-class Sums:
-    """Squared error of each group as a function of the parameters p + d near p.
-
-    loss(p + d) = loss - 2 gradient' d + d' hessian d
-    """
-
-    hessian: Array  # J'J, shape (groups, q, q)
-    gradient: Array  # J'e, shape (groups, q)
-    loss: Array  # e'e, shape (groups,) [output unit^2]
-    samples: NDArray[np.int64]  # samples in each group, shape (groups,)
-
-    @property
-    def rms(self) -> float:
-        """Root mean square error [output unit]."""
-        return float(np.sqrt(self.loss.sum() / self.samples.sum()))
-
-    def expected_loss(self, step: Array) -> float:
-        """Squared error after a step, shape (q,), in the linear approximation [output unit^2]."""
-        hessian, gradient = self.hessian.sum(axis=0), self.gradient.sum(axis=0)
-        return float(self.loss.sum() - 2.0 * step @ gradient + step @ hessian @ step)
 
 
 def group_of(u: Array) -> NDArray[np.int64]:
@@ -123,8 +101,8 @@ def _rows(rows: Array, every: int, averaged: bool) -> Array:
     return result
 
 
-def sums_of(pieces: Iterable[Piece], structure: Structure, zones: Array, parameters: Array) -> Sums:
-    """Normal equations at the parameters.
+def sums_of(pieces: Iterable[Piece], structure: Structure, zones: Array, parameters: Array) -> Blocks:
+    """Sums of each group at the parameters: derivatives of the output by them, and the error as the target.
 
     Parameters
     ----------
@@ -135,7 +113,7 @@ def sums_of(pieces: Iterable[Piece], structure: Structure, zones: Array, paramet
     """
     size, plays, law = parameters.size, structure.plays, parameters.size - zones.size
     hessian, gradient = np.zeros((GROUPS, size, size)), np.zeros((GROUPS, size))
-    loss, samples = np.zeros(GROUPS), np.zeros(GROUPS, dtype=np.int64)
+    loss, samples = np.zeros(GROUPS), np.zeros(GROUPS)
     for piece in pieces:
         v = piece.segments @ parameters[:plays] + parameters[plays]
         jacobian = np.empty((v.size, size))
@@ -148,7 +126,7 @@ def sums_of(pieces: Iterable[Piece], structure: Structure, zones: Array, paramet
         gradient[piece.group] += piece.samples * (jacobian.T @ error)
         loss[piece.group] += piece.samples * float(error @ error)
         samples[piece.group] += piece.samples * v.size
-    return Sums(hessian, gradient, loss, samples)
+    return Blocks(hessian, gradient, loss, samples)
 
 
 def accumulate_gram(structure: Structure, pieces: Iterable[Piece]) -> Array:

@@ -90,8 +90,8 @@ def test_the_sums_are_the_derivatives_of_the_squared_error():
     sums = sums_of(pieces, structure, zones, parameters)
     for _ in range(5):
         step = 1e-6 * rng.normal(size=parameters.size)
-        ahead, behind = (sums_of(pieces, structure, zones, parameters + way * step).loss for way in (1.0, -1.0))
-        np.testing.assert_allclose(ahead - behind, -4.0 * sums.gradient @ step, rtol=1e-4, atol=1e-6)
+        ahead, behind = (sums_of(pieces, structure, zones, parameters + way * step).square for way in (1.0, -1.0))
+        np.testing.assert_allclose(ahead - behind, -4.0 * sums.side @ step, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("size", [150, 6400, 6433])
@@ -149,7 +149,7 @@ def test_what_is_held_out_is_predicted_as_well_as_the_rest_is_fitted(fitted):
 
 def test_fewer_operators_cost_a_thousandth_of_the_error_and_predict_as_well(fitted):
     plant, samples, noise, base = fitted
-    fewer = reduced(base, [samples], float(base.sums.loss.sum()))
+    fewer = reduced(base, [samples], float(base.sums.square.sum()))
     assert fewer.structure.plays + fewer.zones.size < base.structure.plays + base.zones.size
     assert fewer.structure.play_thresholds[0] == fewer.zones[0] == 0.0
     assert fewer.sums.rms <= 1.0015 * base.sums.rms

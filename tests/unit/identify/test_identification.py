@@ -379,5 +379,5 @@ def test_the_normal_equations_predict_the_error_of_other_parameters():
     plays = PrandtlIshlinskii(structure.play_thresholds, np.diff(slopes, prepend=0.0), [0.0], [1.0])
     modelled = zone_segments(zones, plays.run(u) + constant) @ zone_slopes + structure.origin
     assert sums.samples.sum() == u.size
-    assert np.sum((y - modelled) ** 2) == pytest.approx(sums.expected_loss(step), rel=2e-3)
-    assert step @ sums.hessian.sum(axis=0) @ step > 0.01 * sums.expected_loss(step)
+    assert np.sum((y - modelled) ** 2) == pytest.approx(sums.errors(step).sum(), rel=2e-3)
+    assert step @ sums.total[0] @ step > 0.01 * sums.errors(step).sum()
