@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezod.arrays import Array
+from piezod.estimation.fit.blocks import Blocks, spread
 
 KNOTS = np.array([-4, -2, -1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64])
 """Lags at which S is estimated [samples]; denser near the step, where it changes fastest."""
@@ -81,14 +82,11 @@ def step_response(measured: Array, modelled: Array, dt_s: float) -> StepResponse
     parts = [moment for moment in moments if moment is not None]
     if len(parts) < PARTS:
         return None
-    grams, rights = np.stack([gram for gram, _ in parts]), np.stack([right for _, right in parts])
-    gram, right = grams.sum(axis=0), rights.sum(axis=0)
-    total = _solved(gram, right)
-    # jackknife: a part alone may not move enough, all others together do
-    without = np.stack([_solved(gram - one, right - other) for one, other in zip(grams, rights, strict=True)])
-    spread = np.sqrt((PARTS - 1) / PARTS * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
+    sums = Blocks.all_of(parts)
+    # a part alone may not move enough, all others together do
+    errors = STANDARD_ERRORS * np.sqrt(np.diag(spread(sums.without())))
     shown = slice(0, -1)  # the last value stands for all that comes later
-    return StepResponse(dt_s * KNOTS[shown], total[shown], STANDARD_ERRORS * spread[shown])
+    return StepResponse(dt_s * KNOTS[shown], sums.solve()[shown], errors[shown])
 
 
 def _whitening(residuals: list[Array]) -> Array:
@@ -114,8 +112,8 @@ def _filtered(measured: Array, modelled: Array, taps: Array) -> tuple[Array, Arr
     return np.where(reached, np.nan, filtered), np.convolve(modelled, taps, mode="valid")
 
 
-def _moments(measured: Array, modelled: Array) -> tuple[Array, Array] | None:
-    """Normal equations of one part, without its means; None where it is too short or does not move."""
+def _moments(measured: Array, modelled: Array) -> Blocks | None:
+    """Sums of one part, without its means; None where it is too short or does not move."""
     changes = np.diff(modelled)
     first, last = int(KNOTS[0]), int(KNOTS[-1])
     width = last - first
@@ -131,11 +129,4 @@ def _moments(measured: Array, modelled: Array) -> tuple[Array, Array] | None:
     if np.count_nonzero(use) < FEWEST_ROWS:
         return None
     centred: Array = table[use] - table[use].mean(axis=0)
-    right: Array = centred.T @ (wanted[use] - wanted[use].mean())
-    gram: Array = centred.T @ centred
-    return gram, right
-
-
-def _solved(gram: Array, right: Array) -> Array:
-    """Response of smallest norm where the record determines none."""
-    return np.asarray(np.linalg.lstsq(gram, right, rcond=1e-12)[0], np.float64)
+    return Blocks.of(centred, wanted[use] - wanted[use].mean(), [slice(None)])

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.arrays import Array
-from piezod.estimation.fit.pole_starts import RIDGE, Driven, Poles, fade, starting_poles
+from piezod.estimation.fit.blocks import Blocks, solved
+from piezod.estimation.fit.pole_starts import Driven, Poles, fade, starting_poles
 from piezod.model.unnamed_law import Axis, Driver, Mode, UnnamedLaw, behind_modes
 
 MOST_ROWS = 20_000  # of a recording; longer ones are averaged over boxes of samples
@@ -183,29 +184,21 @@ def _design(recordings: Sequence[Driven], poles: Poles) -> list[Array]:
 
 def _solved(recordings: Sequence[Driven], poles: Poles) -> LinearDynamics:
     """Gains by least squares, and errors of the omitted folds."""
-    designs = _design(recordings, poles)
-    targets = [np.where(rows.counts, rows.residual / rows.noise, 0.0) for rows in recordings]
-    grams, sides, squares, references = [], [], [], []
-    for rows, design, target in zip(recordings, designs, targets, strict=True):
-        mean = target.sum() / max(int(rows.counts.sum()), 1)
-        for part in np.array_split(np.arange(target.size), FOLDS * PIECES):
-            grams.append(design[part].T @ design[part])
-            sides.append(design[part].T @ target[part])
-            squares.append(float(target[part] @ target[part]))
-            references.append(float(np.sum((target[part] - mean * rows.counts[part]) ** 2)))
-    gram, side = np.sum(grams, axis=0), np.sum(sides, axis=0)
-    errors = np.empty(len(grams))
-    for fold in range(FOLDS):
-        omitted = [k for k in range(len(grams)) if k // PIECES % FOLDS == fold]
-        solution = _least_squares(gram - sum(grams[k] for k in omitted), side - sum(sides[k] for k in omitted))
-        for first in omitted[::PIECES] if fold == 0 else ():
-            # the past is seen in the first fold only, so it is fitted there
-            of_recording = range(first, first + PIECES)
-            own_gram, own_side = (np.sum([part[k] for k in of_recording], axis=0) for part in (grams, sides))
-            solution = _with_past(own_gram, own_side, solution, 1 + _width(poles), first // (FOLDS * PIECES))
-        for k in omitted:
-            errors[k] = squares[k] - 2.0 * solution @ sides[k] + solution @ grams[k] @ solution
-    solution = _least_squares(gram, side)
+    shared, recorded, references = 1 + _width(poles), [], []
+    for rows, design in zip(recordings, _design(recordings, poles), strict=True):
+        target = np.where(rows.counts, rows.residual / rows.noise, 0.0)
+        parts = np.array_split(np.arange(target.size), FOLDS * PIECES)
+        recorded.append(Blocks.of(design, target, parts))
+        centred = target - target.sum() / max(int(rows.counts.sum()), 1) * rows.counts
+        references += [float(centred[part] @ centred[part]) for part in parts]
+    sums = Blocks.all_of(recorded)
+    folds = np.arange(len(references)) // PIECES % FOLDS
+    folded = sums.folded(folds)
+    without = folded.without()
+    # the past is seen in the first fold only, so it is fitted there
+    gains_only = np.where(np.arange(without.shape[1]) < shared, without[0], np.nan)
+    without[0] = solved(folded.gram[0], folded.side[0], gains_only)
+    errors, solution = sums.errors(without[folds]), sums.solve()
     gains, place = [], 1
     for pole in poles:
         real = pole.imag == 0.0
@@ -214,24 +207,8 @@ def _solved(recordings: Sequence[Driven], poles: Poles) -> LinearDynamics:
     return LinearDynamics(poles, float(solution[0]), np.array(gains), np.maximum(errors, 1e-300), np.array(references))
 
 
-def _least_squares(gram: Array, side: Array) -> Array:
-    """Solution of normal equations, shape of the right side, with a ridge on scaled columns."""
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled = gram / np.outer(scale, scale) + RIDGE * np.eye(scale.size)
-    solved: Array = (np.linalg.solve(scaled, (side.T / scale).T).T / scale).T
-    return solved
-
-
 def _width(poles: Poles) -> int:
     return int(np.sum(np.where(poles.imag == 0.0, 1, 2)))
-
-
-def _with_past(gram: Array, side: Array, solution: Array, shared: int, number: int) -> Array:
-    """Solution whose offset and past of one recording are refitted with fixed gains; the first `shared` are gains."""
-    past = slice(shared + number * shared, shared + (number + 1) * shared)
-    refitted = solution.copy()
-    refitted[past] = _least_squares(gram[past, past], side[past] - gram[past, :shared] @ solution[:shared])
-    return refitted
 
 
 def _parameters(poles: Poles) -> Array:
@@ -267,7 +244,7 @@ def _refined(recordings: Sequence[Driven], poles: Poles) -> Poles:
     def fit(at: Array) -> tuple[Array, Array, Array]:
         """Design, solution and error."""
         design = np.vstack(_design(recordings, _poles(at, poles)))
-        solution = _least_squares(design.T @ design, design.T @ target)
+        solution = solved(design.T @ design, design.T @ target)
         return design, solution, target - design @ solution
 
     at = _parameters(poles)
@@ -279,11 +256,11 @@ def _refined(recordings: Sequence[Driven], poles: Poles) -> Poles:
             moved = at.copy()
             moved[k] += SMALL
             slopes[:, k] = (np.vstack(_design(recordings, _poles(moved, poles))) - design) @ solution / SMALL
-        slopes -= design @ _least_squares(design.T @ design, design.T @ slopes)
+        slopes -= design @ solved(design.T @ design, design.T @ slopes)
         gram, side = slopes.T @ slopes, slopes.T @ error
         fell = False
         while damping < 1e6:
-            step = np.linalg.solve(gram + damping * np.diag(np.diag(gram) + 1e-300), side)
+            step = solved(gram + damping * np.diag(np.diag(gram)), side)
             tried = fit(at + np.clip(step, -0.5, 0.5))
             if float(tried[2] @ tried[2]) < loss:
                 fell, damping = True, 0.1 * damping

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.arrays import Array
+from piezod.estimation.fit.blocks import solved
 
 Poles = NDArray[np.complex128]
 """Real poles, and the upper pole of each complex pair, shape (K,) [1/s]."""
@@ -23,7 +24,6 @@ PREFILTERS = 4  # rounds of Steiglitz and McBride
 FASTEST = 0.5  # shortest time constant [samples of the start]; a faster one is a direct gain
 LONGEST, LONGEST_RINGING = 0.5, 0.1
 """Longest time constant of a lag, and of a mode, relative to the recording: a mode that rings longer is a tone."""
-RIDGE = 1e-10  # relative to the largest diagonal: nearly equal poles have large opposite gains
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,7 @@ def _steiglitz_mcbride(command: Array, residual: Array, order: int) -> Array:
     for _ in range(PREFILTERS):
         u, y = _recursive(command, denominator), _recursive(residual, denominator)
         rows = np.array([-_delayed(y, k) for k in range(1, order + 1)] + [_delayed(u, k) for k in range(order + 1)]).T
-        gram = rows.T @ rows
-        gram[np.diag_indices_from(gram)] += RIDGE * np.diag(gram).max() + 1e-300
-        denominator = _stable(np.concatenate(([1.0], np.linalg.solve(gram, rows.T @ y)[:order])))
+        denominator = _stable(np.concatenate(([1.0], solved(rows.T @ rows, rows.T @ y)[:order])))
         if not np.isfinite(denominator).all():
             return none
     return denominator
