@@ -23,6 +23,7 @@ from piezod.diagnose.prepare import chain_of, substitute_recording
 from piezod.diagnose.selection.given_effects import given_effects
 from piezod.effects import EFFECTS
 from piezod.effects.effect import Effect, Location
+from piezod.estimation.fit.blocks import solved
 from piezod.estimation.recordings.preparation import prepared
 from piezod.estimation.recordings.sources import Source
 from piezod.model import Model
@@ -245,10 +246,8 @@ def _nearby(effect: Effect, setting: Setting) -> list[Setting]:
 def _independent(free: Array, changes: Places, others: Places) -> Array:
     """Squared norms of changes that neither the base nor a combination of another effect's changes follows."""
     squares = np.diag(free)[changes]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(free)[others], 1e-300))
-    inner = free[np.ix_(others, others)] * np.outer(scale, scale)
-    across = free[np.ix_(changes, others)] * scale
-    followed = np.einsum("ij,jk,ik->i", across, np.linalg.pinv(inner, rcond=INDEPENDENT, hermitian=True), across)
+    across = free[np.ix_(others, changes)]
+    followed = np.sum(across * solved(free[np.ix_(others, others)], across), axis=0)
     result: Array = np.clip(squares - followed, 0.0, None)
     return result
 

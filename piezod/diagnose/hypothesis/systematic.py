@@ -34,9 +34,7 @@ def systematic_errors(chain: Chain, fitted: Fitted) -> tuple[dict[str, float], .
     normal = Normal.at(chain, [replace(term, held=False) for term in fitted.terms], fitted.point)
     layout = normal.layout
     hessian = normal.total[0] + layout.prior(chain, fitted.point)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    inverse = np.linalg.pinv(hessian * np.outer(scale, scale), rcond=1e-13, hermitian=True)
-    variances = np.maximum(np.diag(inverse), 0.0) * scale**2
+    variances = np.maximum(np.diag(solved(hessian, np.eye(layout.size))), 0.0)
     form = FORM * np.sqrt(_contributions(normal) * variances)
     errors = np.hypot(form, HALF_95 * np.abs(_shifts_by_time(normal, hessian)))
     result: tuple[dict[str, float], ...] = tuple({} for _ in fitted.terms)
