@@ -10,13 +10,13 @@ Both records first pass the filter that whitens the residual (Yule and Walker), 
 linear filter of both leaves S as it is. Derived here.
 """
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 from piezod.arrays import Array
 from piezod.estimation.fit.blocks import Blocks, spread
+from piezod.estimation.recordings.series import equal_parts
 
 KNOTS = np.array([-4, -2, -1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64])
 """Lags at which S is estimated [samples]; denser near the step, where it changes fastest."""
@@ -75,14 +75,14 @@ def step_response(measured: Array, modelled: Array, dt_s: float) -> StepResponse
     """
     if not np.isfinite(modelled).all() or measured.size < PARTS * FEWEST_ROWS:
         return None
-    ends, most = np.linspace(0, measured.size, PARTS + 1).astype(int), MOST_SAMPLES // PARTS
-    pieces = [(measured[a:b][:most], modelled[a:b][:most]) for a, b in itertools.pairwise(ends)]
+    parts, most = equal_parts(measured.size, PARTS), MOST_SAMPLES // PARTS
+    pieces = [(measured[part][:most], modelled[part][:most]) for part in parts]
     taps = _whitening([y - x for y, x in pieces])
     moments = [_moments(*_filtered(y, x, taps)) for y, x in pieces]
-    parts = [moment for moment in moments if moment is not None]
-    if len(parts) < PARTS:
+    known = [moment for moment in moments if moment is not None]
+    if len(known) < PARTS:
         return None
-    sums = Blocks.all_of(parts)
+    sums = Blocks.all_of(known)
     # a part alone may not move enough, all others together do
     errors = STANDARD_ERRORS * np.sqrt(np.diag(spread(sums.without())))
     shown = slice(0, -1)  # the last value stands for all that comes later

@@ -15,7 +15,7 @@ from piezod.diagnose.localisation import colour, events
 from piezod.diagnose.localisation.cells import NormalisedResidual
 from piezod.estimation.fit.blocks import Blocks
 from piezod.estimation.recordings.noise import noise_of_input
-from piezod.estimation.recordings.series import BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS, Series
+from piezod.estimation.recordings.series import Series
 
 SIGNIFICANT = 0.05  # largest p-value at which the prediction is subtracted before tones, jumps and bursts are sought
 GAP = 0.05  # share of a block at either end that is not used: neighbouring samples are not independent
@@ -47,9 +47,7 @@ class Guard:
     local_p: float = 1.0
 
 
-def explainable(
-    series: Sequence[Series], residuals: Sequence[Array], modelled: Sequence[Array], *, seed: int = 0
-) -> Guard:
+def explainable(series: Sequence[Series], residuals: Sequence[Array], modelled: Sequence[Array]) -> Guard:
     """Measure the explainable part of the residuals of the diagnosed recordings.
 
     `series` are recordings of any role; `residuals` and `modelled` have shape (N,) each [N].
@@ -61,7 +59,7 @@ def explainable(
     detected = _detected_events(recordings, prediction.remainders())
     if detected:
         prediction = _Prediction.of(recordings, detected)
-    guard = _guard(recordings, prediction, np.random.default_rng(seed))
+    guard = _guard(recordings, prediction)
     return replace(guard, share=max(guard.share - _share_of_input_noise(series, recordings, guard.loss), 0.0))
 
 
@@ -94,7 +92,8 @@ class _Recording:
 
     @classmethod
     def of(cls, known: NormalisedResidual) -> "_Recording":
-        return cls(known.series, known.residual, known.modelled_N, known.counts, _block_edges(known.series))
+        edges = (0, *(block.stop for block in known.series.blocks))
+        return cls(known.series, known.residual, known.modelled_N, known.counts, edges)
 
     @property
     def step(self) -> float:
@@ -120,19 +119,6 @@ class _Recording:
         return beyond
 
 
-def _block_edges(series: Series) -> tuple[int, ...]:
-    """Edges of the blocks of a series, joined to a few seconds each."""
-    wanted_s = min(max(BLOCK_S, series.duration_s / MOST_BLOCKS), series.duration_s / FEWEST_BLOCKS)
-    wanted = wanted_s / series.dt_s
-    edges = [0]
-    for block in series.blocks:
-        if block.stop - edges[-1] >= 0.99 * wanted:
-            edges.append(block.stop)
-    if edges[-1] != series.time_s.size:
-        edges[-1] = series.time_s.size
-    return tuple(edges)
-
-
 @dataclass(frozen=True)
 class _Prediction:
     """Flexible model of all recordings, with every block predicted from the others."""
@@ -153,7 +139,7 @@ class _Prediction:
 
         A prediction that is not significant is not subtracted, since it would add edges.
         """
-        if self.predicted.p(np.random.default_rng(0)) > SIGNIFICANT:
+        if self.predicted.p > SIGNIFICANT:
             return [recording.residual for recording in self.recordings]
         block = 0
         remainders = []
@@ -195,7 +181,7 @@ def _detected_events(recordings: Sequence[_Recording], remainders: Sequence[Arra
     return detected
 
 
-def _guard(recordings: Sequence[_Recording], prediction: _Prediction, rng: np.random.Generator) -> Guard:
+def _guard(recordings: Sequence[_Recording], prediction: _Prediction) -> Guard:
     samples = float(prediction.blocks.samples.sum())
     loss = float(prediction.blocks.square.sum()) / samples
     absorbed = float(prediction.predicted.after.sum()) / samples
@@ -214,7 +200,7 @@ def _guard(recordings: Sequence[_Recording], prediction: _Prediction, rng: np.ra
         loss,
         absorbed,
         1.0 - absorbed / loss,
-        prediction.predicted.p(rng),
+        prediction.predicted.p,
         float(sum(burst.energy for burst in bursts)) / energy,
         min(1.0, len(bursts) * min(burst.p for burst in bursts)),
     )

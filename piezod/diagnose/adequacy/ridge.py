@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezod.arrays import Array, Mask
+from piezod.diagnose.hypothesis.left_out import sign_test_p
 from piezod.estimation.fit.blocks import Blocks
 
 STRENGTHS = (1e-8, 1e-6, 1e-4, 1e-2, 1.0)  # penalties, relative to the variance of a column
 FOLDS = 8
-FLIPS = 999
 FAILED = 2.0  # ratio of a block's losses above which its prediction has failed and the levels alone are used
 
 
@@ -29,13 +29,10 @@ class BlockPrediction:
     after: Array
     weights: Array
 
-    def p(self, rng: np.random.Generator) -> float:
+    @property
+    def p(self) -> float:
         """Probability of this fall of the logarithmic loss if its sign in every block is random."""
-        gains = np.log(np.maximum(self.before, 1e-300) / np.maximum(self.after, 1e-300))
-        if not np.any(gains):
-            return 1.0
-        signs = rng.choice((-1.0, 1.0), (FLIPS, gains.size))
-        return float((1 + np.count_nonzero(signs @ gains >= gains.sum())) / (1 + FLIPS))
+        return sign_test_p(np.log(np.maximum(self.before, 1e-300) / np.maximum(self.after, 1e-300)))
 
 
 def predicted_blocks(blocks: Blocks, levels: Mask) -> BlockPrediction:

@@ -16,16 +16,15 @@ from numpy.typing import NDArray
 from piezod.arrays import Array
 from piezod.diagnose.findings import Finding
 from piezod.diagnose.hypothesis.chain import Chain
-from piezod.diagnose.hypothesis.fit import Fitted, fit
+from piezod.diagnose.hypothesis.fit import Fitted, fit, thinned
+from piezod.diagnose.hypothesis.left_out import sign_test_p
 from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.terms import Point, Term
-from piezod.diagnose.rules import RULES
 from piezod.diagnose.selection.search_state import Search
 from piezod.effects import EFFECTS
 from piezod.estimation.recordings.series import Series
 
 STEPS = 6  # Gauss-Newton steps of each fit, which begins at the parameters from all blocks
-FLIPS = 20_000  # draws of random signs; the smallest p-value is 1 / (FLIPS + 1)
 FEWEST, NEARLY_ALL = 5, 0.9
 """Fewest blocks with nearly all of the gain; with four blocks no p-value is below 2^-4 = 6 %."""
 
@@ -93,19 +92,5 @@ def _losses(chain: Chain, number: int, terms: Sequence[Term], point: Point) -> A
     """Mean square residual of every block of a recording, 0 if no reading counts, shape (B,)."""
     series, rows = chain.series[number], chain.rows[number]
     residual, weights = series.residual(rows, chain.compared(number, terms, point))
-    step = rows.step
-    blocks = [slice(-(-block.start // step), -(-block.stop // step)) for block in series.blocks]
+    blocks = thinned(series.blocks, rows.step)
     return np.array([residual[b] @ residual[b] / max(float(weights[b] @ weights[b]), 1e-300) for b in blocks])
-
-
-def sign_test_p(gains: Array) -> float:
-    """Probability that the sum of the gains of the blocks, shape (B,), is as large with random signs.
-
-    The gain of a single block is limited to `RULES.largest_share` median gains.
-    """
-    if gains.size < 2:
-        return 1.0
-    most = RULES.largest_share * float(np.median(np.abs(gains)))
-    gains = np.clip(gains, -most, most)
-    signs = np.random.default_rng(0).choice((-1.0, 1.0), (FLIPS, gains.size))
-    return float((1 + np.count_nonzero(signs @ gains >= gains.sum() - 1e-12)) / (FLIPS + 1))

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.arrays import Array
+from piezod.diagnose.hypothesis.left_out import sign_test_p
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.selection.formula import Formula, candidates
-from piezod.diagnose.selection.significance import sign_test_p
 from piezod.estimation.fit.blocks import Blocks
 from piezod.estimation.recordings.series import Series
 from piezod.model.unnamed_law import (

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezod.arrays import Array
-from piezod.diagnose.selection.significance import sign_test_p
+from piezod.diagnose.hypothesis.left_out import sign_test_p
 from piezod.diagnose.selection.unnamed import AS_WELL, LEAST, SIGNIFICANT, FittedLaw
 from piezod.estimation.fit.linear_dynamics import LinearDynamics, fit_linear_dynamics
 from piezod.estimation.fit.pole_starts import Driven

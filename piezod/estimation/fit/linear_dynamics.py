@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from piezod.arrays import Array
 from piezod.estimation.fit.blocks import Blocks, solved
 from piezod.estimation.fit.pole_starts import Driven, Poles, fade, starting_poles
+from piezod.estimation.recordings.series import equal_parts
 from piezod.model.unnamed_law import Axis, Driver, Mode, UnnamedLaw, behind_modes
 
 MOST_ROWS = 20_000  # of a recording; longer ones are averaged over boxes of samples
@@ -187,7 +188,7 @@ def _solved(recordings: Sequence[Driven], poles: Poles) -> LinearDynamics:
     shared, recorded, references = 1 + _width(poles), [], []
     for rows, design in zip(recordings, _design(recordings, poles), strict=True):
         target = np.where(rows.counts, rows.residual / rows.noise, 0.0)
-        parts = np.array_split(np.arange(target.size), FOLDS * PIECES)
+        parts = equal_parts(target.size, FOLDS * PIECES)
         recorded.append(Blocks.of(design, target, parts))
         centred = target - target.sum() / max(int(rows.counts.sum()), 1) * rows.counts
         references += [float(centred[part] @ centred[part]) for part in parts]

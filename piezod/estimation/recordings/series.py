@@ -46,9 +46,7 @@ class Series:
     def __post_init__(self) -> None:
         size = self.time_s.size
         count = int(np.clip(self.duration_s / BLOCK_S, FEWEST_BLOCKS, MOST_BLOCKS))
-        edges = np.linspace(0, size, min(count, size) + 1).astype(int)
-        blocks = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
-        object.__setattr__(self, "blocks", blocks)
+        object.__setattr__(self, "blocks", equal_parts(size, min(count, size)))
 
     def fitted_N(self, rows: slice) -> Array:
         """Readings to fit, shape (rows,) [N]: less the rounding of a coarse converter."""
@@ -93,3 +91,9 @@ class Series:
     def duration_s(self) -> float:
         """Time from the first to the last sample [s]."""
         return float(self.time_s[-1])
+
+
+def equal_parts(size: int, count: int) -> tuple[slice, ...]:
+    """Contiguous parts of a recording of `size` samples, with nearly equal lengths."""
+    edges = np.linspace(0, size, count + 1).astype(int).tolist()
+    return tuple(slice(first, end) for first, end in itertools.pairwise(edges))

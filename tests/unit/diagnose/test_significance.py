@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from piezod.diagnose.hypothesis.fit import fit
+from piezod.diagnose.hypothesis.left_out import sign_test_p
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.selection.search_state import Search
-from piezod.diagnose.selection.significance import discovery_rates, is_concentrated, p_value, sign_test_p
+from piezod.diagnose.selection.significance import discovery_rates, is_concentrated, p_value
 from piezod.effects import EFFECTS
 from tests.unit.diagnose.test_pairs import stairs, worked
 
