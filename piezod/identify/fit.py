@@ -17,9 +17,8 @@ from piezod.estimation.fit.columns import (
     zone_slopes_of,
     zone_weights_of,
 )
-from piezod.estimation.fit.gauss_newton import minimise
 from piezod.estimation.fit.normal_equations import Piece, accumulate_gram, merged, pieces_of, sums_of
-from piezod.estimation.fit.quadratic_program import Constraints, Variant, solve_step
+from piezod.estimation.fit.quadratic_program import Constraints, Variant, minimise, solve_step
 from piezod.model.parameters import Hysteresis, Superposition
 from piezod.operators import EPS
 from piezod.operators.dead_zone import inverse_dead_zone, shifted

@@ -10,6 +10,7 @@ from piezod.arrays import Array, Index
 from piezod.diagnose.hypothesis.chain import Chain
 from piezod.diagnose.hypothesis.fit import Normal
 from piezod.diagnose.hypothesis.terms import Point, Term
+from piezod.estimation.fit.blocks import whitening
 from piezod.estimation.recordings.noise import MEDIAN_SPREAD
 from piezod.estimation.recordings.series import Series
 
@@ -130,9 +131,7 @@ class _Sums:
     @classmethod
     def of(cls, normal: Normal, number: int) -> "_Sums":
         hessian, gradient = normal.total
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-        values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
-        whiten = (scale[:, None] * vectors) / np.sqrt(np.maximum(values, 1e-12))
+        whiten = whitening(hessian)
         change = normal.trust[number] / normal.chain.series[number].noise_N  # derivative of the residual by the height
         columns = (normal.weights[number] * change)[:, None] * normal.jacobians[number]
         return cls(

@@ -102,10 +102,7 @@ class Eliminated:
         prior = np.diag((WITHIN * about) ** -2.0)
         own = self.training[:, chosen[:, None], chosen] + prior
         sides = self.training[:, chosen, -1] + prior @ about
-        try:
-            fitted = np.asarray(np.linalg.solve(own, sides[:, :, None])[:, :, 0], dtype=np.float64)
-        except np.linalg.LinAlgError:
-            return self.loss  # the columns differ by rounding only
+        fitted = solved(own, sides)  # zeros where the columns differ by rounding only
         return self._loss(chosen, fitted)
 
     def _loss(self, chosen: NDArray[np.int64], fitted: Array) -> float:

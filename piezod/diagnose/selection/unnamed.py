@@ -15,7 +15,7 @@ from piezod.arrays import Array
 from piezod.diagnose.hypothesis.left_out import sign_test_p
 from piezod.diagnose.hypothesis.parallel import each
 from piezod.diagnose.selection.formula import Formula, candidates
-from piezod.estimation.fit.blocks import Blocks
+from piezod.estimation.fit.blocks import Blocks, contiguous_folds
 from piezod.estimation.recordings.series import Series
 from piezod.model.unnamed_law import (
     COMMAND,
@@ -53,7 +53,6 @@ GAINS: tuple[tuple[Driver, ...], ...] = (("rate",), ("stroke",))
 """Drivers of a law that is a gain of the reading's stroke: rate and length of the stroke."""
 MEMORIES = 5  # log-spaced times from the shortest that the rows show to a sixth of the recording
 LONGEST, SHORTEST = 1.0 / 6.0, 1e-4  # limits of the times, relative to the recording
-FOLDS = 4  # contiguous folds of each recording: a block between two near blocks would be interpolated
 RIDGES = (1e-4, 1e-2, 1.0)  # ridges, relative to the mean diagonal
 BEST_FORMS = 4  # forms that are tried with all memories
 SIMPLER = 0.98  # share of the best gain at which a law with fewer numbers is preferred
@@ -336,7 +335,7 @@ def _predicted(records: Sequence[_Record], shaped: Callable[[_Record], Array]) -
     """
     sums = Blocks.all_of([_sums(record, shaped(record), number, len(records)) for number, record in enumerate(records)])
     diagnosed = np.concatenate([np.full(record.blocks, record.diagnosed) for record in records])
-    folds = np.concatenate([np.arange(record.blocks) * FOLDS // record.blocks for record in records])
+    folds = contiguous_folds([record.blocks for record in records])
     folded, (gram, side) = sums.folded(folds), sums.total
     size = side.size - len(records)
     diagonal = float(np.trace(gram[:size, :size])) / size

@@ -18,9 +18,8 @@ import numpy as np
 from piezod.arrays import Array
 from piezod.estimation.fit.blocks import Blocks
 from piezod.estimation.fit.columns import Samples, Structure, clocks_of
-from piezod.estimation.fit.gauss_newton import minimise, penalised_step
 from piezod.estimation.fit.normal_equations import Piece, merged, pieces_of, sums_of
-from piezod.estimation.fit.quadratic_program import Constraints, solve_step
+from piezod.estimation.fit.quadratic_program import Constraints, minimise, penalised_step, solve_step
 
 WEIGHTS = 10.0 ** np.arange(-9.0, 2.0)
 """Tried weights of the penalties, relative to the trace of the Hessian of the data."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from piezod.arrays import Array, Index, Mask
 
+FOLDS = 4  # contiguous folds of a recording
 DEPENDENT = 1e-13  # penalty of a column scaled to unit curvature, so that dependent columns share their size
 
 
@@ -121,21 +122,49 @@ class Blocks:
 
 
 def solved(matrix: Array, side: Array, held: Array | None = None) -> Array:
-    """Solution of normal equations, shape of the side, (P,) or (P, K), on scaled columns; zeros where there is none.
+    """Solutions of one or many normal equations on scaled columns; zeros where there is none.
 
-    A parameter whose `held`, shape (P,), is not nan has that value; the side is then a vector.
+    Parameters
+    ----------
+    matrix, side
+        Shape (..., P, P), and (..., P) or (..., P, K); the solution has the shape of the side.
+    held
+        Values that parameters keep, shape (P,); nan: fitted. The matrix is then a single one and the side a vector.
     """
     if held is not None:
         free, result = np.isnan(held), np.nan_to_num(held)
         result[free] = solved(matrix[np.ix_(free, free)], (side - matrix @ result)[free])
         return result
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = matrix * np.outer(scale, scale) + DEPENDENT * np.eye(scale.size)
+    scale, scaled = _scaled(matrix)
+    columns = side if side.ndim == matrix.ndim else side[..., None]
     try:
-        result = (np.linalg.solve(scaled, (side.T * scale).T).T * scale).T
+        solution = np.linalg.solve(scaled + DEPENDENT * np.eye(scale.shape[-1]), columns * scale[..., None])
     except np.linalg.LinAlgError:
-        result = np.zeros_like(side)
+        return np.zeros_like(side)
+    sizes: Array = (solution * scale[..., None]).reshape(side.shape)
+    return sizes
+
+
+def whitening(matrix: Array) -> Array:
+    """Matrix W with W W' = inverse of `matrix` on scaled columns, shape (P, P)."""
+    scale, scaled = _scaled(matrix)
+    values, vectors = np.linalg.eigh(scaled)
+    result: Array = scale[:, None] * vectors / np.sqrt(np.maximum(values, DEPENDENT))
     return result
+
+
+def _scaled(matrix: Array) -> tuple[Array, Array]:
+    """Scale of each column, and the matrix on columns of unit curvature."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix, axis1=-2, axis2=-1), 1e-300))
+    return scale, matrix * scale[..., :, None] * scale[..., None, :]
+
+
+def contiguous_folds(blocks: Sequence[int]) -> Index:
+    """Number of the fold of every block of recordings with so many blocks each.
+
+    Folds are contiguous: a slow residual in a block between two near blocks would be interpolated.
+    """
+    return np.concatenate([np.arange(count) * FOLDS // count for count in blocks])
 
 
 def spread(moves: Array) -> Array:

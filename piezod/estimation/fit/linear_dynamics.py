@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.arrays import Array
-from piezod.estimation.fit.blocks import Blocks, solved
+from piezod.estimation.fit.blocks import FOLDS, Blocks, contiguous_folds, solved
 from piezod.estimation.fit.pole_starts import Driven, Poles, fade, starting_poles
 from piezod.estimation.recordings.series import equal_parts
 from piezod.model.unnamed_law import Axis, Driver, Mode, UnnamedLaw, behind_modes
 
 MOST_ROWS = 20_000  # of a recording; longer ones are averaged over boxes of samples
 MOST_DAMPED = 0.999  # damping ratio of a mode; a pair beyond it is two lags
-FOLDS, PIECES = 4, 5  # contiguous folds of each recording, and pieces of a fold with an error each
+PIECES = 5  # pieces of a fold with an error each
 SIMPLER = 0.9  # largest ratio of the squared errors of omitted folds at which more poles are taken
 PATIENCE = 2  # larger numbers of poles that predict no better before the search ends: a mode may need two more
 STEPS, SMALL, FALL = 20, 1e-5, 1e-4  # Gauss-Newton: steps, relative difference of a pole, least relative fall of a step
@@ -193,7 +193,7 @@ def _solved(recordings: Sequence[Driven], poles: Poles) -> LinearDynamics:
         centred = target - target.sum() / max(int(rows.counts.sum()), 1) * rows.counts
         references += [float(centred[part] @ centred[part]) for part in parts]
     sums = Blocks.all_of(recorded)
-    folds = np.arange(len(references)) // PIECES % FOLDS
+    folds = contiguous_folds([FOLDS * PIECES] * len(recordings))
     folded = sums.folded(folds)
     without = folded.without()
     # the past is seen in the first fold only, so it is fitted there

@@ -5,8 +5,10 @@
 
 The error is linear in the direct play slopes and in the inverse dead-zone slopes, so the program is convex. Columns are
 scaled to equal length and the Hessian to a mean diagonal of 1, so that ProxQP's tolerance applies to every slope.
+Each step of the Gauss-Newton minimisation of the output error is such a program too.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
@@ -15,6 +17,7 @@ import proxsuite
 
 from piezod.arrays import Array
 from piezod.errors import RecordingError
+from piezod.estimation.fit.blocks import Blocks
 from piezod.estimation.fit.columns import Structure
 
 Variant = Literal["A", "B"]
@@ -27,6 +30,7 @@ ACTIVE = 1e-9  # least multiplier of an active constraint, relative to the large
 LONGEST = 1.1  # longest step relative to that of ProxQP; a longer one has left along a direction without curvature
 FEASIBLE = 1e-9  # largest violation of a constraint: the coarsest tolerance of ProxQP
 TOLERANCES = (1e-12, 1e-10, 1e-9)  # absolute, on the scaled program, tried in turn
+SHORTENED = 0.25  # factor by which a Gauss-Newton step that raises the cost is shortened
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,51 @@ def solve_step(hessian: Array, gradient: Array, constraints: Constraints, start:
             break
     slopes: Array = start + unit * scale * step
     return slopes
+
+
+def minimise(
+    sums_at: Callable[[Array], Blocks],
+    bounds_at: Callable[[Array], Constraints],
+    start: Array,
+    penalty: Array,
+    enough: float,
+    most_steps: int,
+) -> tuple[Array, Blocks]:
+    """Parameters p with the least squared output error + p' penalty p by Gauss-Newton steps, and their sums.
+
+    Parameters
+    ----------
+    sums_at, bounds_at
+        Normal equations and constraints at given parameters, shape (q,).
+    start, penalty
+        Shape (q,), and (q, q) [output unit^2].
+    enough
+        Share of the cost below which the expected decrease ends the minimisation.
+    most_steps
+        Largest number of evaluations, 1 or more.
+    """
+    best, best_cost, best_sums = start, np.inf, None
+    step, length, parameters = np.zeros_like(start), 1.0, start
+    for _ in range(most_steps):
+        sums = sums_at(parameters)
+        cost = float(sums.square.sum() + parameters @ penalty @ parameters)
+        if cost < best_cost:
+            best, best_cost, best_sums, length = parameters, cost, sums, 1.0
+            step = penalised_step(sums, bounds_at(best), penalty, best)
+            after = float(sums.errors(step).sum()) + float((best + step) @ penalty @ (best + step))
+            if best_cost - after <= enough * best_cost:
+                break
+        else:
+            length *= SHORTENED
+        parameters = best + length * step
+    assert best_sums is not None
+    return best, best_sums
+
+
+def penalised_step(sums: Blocks, bounds: Constraints, penalty: Array, at: Array) -> Array:
+    """Step from the parameters `at` to the minimum of the quadratic approximation within bounds, shape (q,)."""
+    gram, side = sums.total
+    return solve_step(gram + penalty, side - penalty @ at, bounds, at) - at
 
 
 def _proxqp(hessian: Array, gradient: Array, equality: Array, value: Array, rows: Array, low: Array) -> Array:
