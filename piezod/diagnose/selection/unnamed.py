@@ -257,18 +257,8 @@ def _bank(records: Sequence[_Record]) -> tuple[float, ...]:
 
 def _offsets_only(records: Sequence[_Record]) -> Array:
     """Squared error of every block with only an offset of each recording fitted, shape (B,) [noise variance]."""
-    return np.concatenate([_by_block(record, _centred(record)) for record in records])
-
-
-def _centred(record: _Record) -> Array:
-    """Residual without its mean."""
-    mean: Array = record.residual - float(record.residual @ record.counts) / float(record.counts.sum())
-    return mean
-
-
-def _by_block(record: _Record, residual: Array) -> Array:
-    weighted = record.counts * (residual / record.noise) ** 2
-    return np.maximum(np.bincount(record.block, weighted), 1e-300)
+    sums = _sums(records, lambda record: np.empty((record.residual.size, 0)))
+    return np.maximum(sums.errors(sums.solve()), 1e-300)
 
 
 def _columns(record: _Record, axes: Sequence[Axis], memories_s: Sequence[float]) -> Array:
@@ -333,7 +323,7 @@ def _predicted(records: Sequence[_Record], shaped: Callable[[_Record], Array]) -
 
     The ridge with the least error is chosen. `shaped` computes the columns of a recording, shape (rows, K).
     """
-    sums = Blocks.all_of([_sums(record, shaped(record), number, len(records)) for number, record in enumerate(records)])
+    sums = _sums(records, shaped)
     diagnosed = np.concatenate([np.full(record.blocks, record.diagnosed) for record in records])
     folds = contiguous_folds([record.blocks for record in records])
     folded, (gram, side) = sums.folded(folds), sums.total
@@ -346,13 +336,16 @@ def _predicted(records: Sequence[_Record], shaped: Callable[[_Record], Array]) -
     return np.maximum(tried[best], 1e-300), sums.solve(penalty=np.diag(RIDGES[best] * ridge))[:size]
 
 
-def _sums(record: _Record, shaped: Array, number: int, records: int) -> Blocks:
-    """Sums of a recording's columns and of an offset of each of all recordings."""
-    columns = np.hstack([shaped, np.zeros((record.residual.size, records))])
-    columns[:, number - records] = 1.0
-    weights = np.sqrt(record.counts) / record.noise
-    members = [record.block == k for k in range(record.blocks)]
-    return Blocks.of(columns * weights[:, None], weights * record.residual, members)
+def _sums(records: Sequence[_Record], shaped: Callable[[_Record], Array]) -> Blocks:
+    """Sums of the columns of recordings and of an offset of each."""
+    sums = []
+    for number, record in enumerate(records):
+        columns = np.hstack([shaped(record), np.zeros((record.residual.size, len(records)))])
+        columns[:, number - len(records)] = 1.0
+        weights = np.sqrt(record.counts) / record.noise
+        members = [record.block == k for k in range(record.blocks)]
+        sums.append(Blocks.of(columns * weights[:, None], weights * record.residual, members))
+    return Blocks.all_of(sums)
 
 
 def _simplest(tried: Sequence[_Candidate], reference: float) -> _Candidate:

@@ -19,7 +19,7 @@ from piezod.diagnose.hypothesis.sampling import coarse
 from piezod.diagnose.hypothesis.stack_change import NAMES, factors
 from piezod.diagnose.hypothesis.terms import Point, Term
 from piezod.diagnose.prepare import chain_of
-from piezod.estimation.fit.blocks import solved, spread
+from piezod.estimation.fit.blocks import Blocks, solved, spread
 from piezod.estimation.recordings.preparation import prepared
 from piezod.estimation.recordings.sources import Source
 from piezod.model import Model
@@ -198,19 +198,20 @@ def _whitened(normal: Normal, numbers: Sequence[int], colour: Array) -> Array:
     Blocks pull at the parameters by as much as the noise explains, if the model is right. The information is divided by
     the factor by which they pull more strongly (derived here).
     """
-    matrix, pulls = np.zeros_like(normal.ridge), list[Array]()
+    nothing = np.empty((0, normal.pull.size))  # without a recording there is no information
+    recorded = [Blocks.of(nothing, nothing[:, 0], [slice(None)])]
     for number in numbers:
-        series = normal.chain.series[number]
         rows = _innovations(np.sqrt(normal.weights[number])[:, None] * normal.jacobians[number], colour)
         residual = _innovations(normal.weighted[number], colour)
         count = float(np.count_nonzero(normal.trust[number]))
-        variance = max(float(residual @ residual) / max(count, 1.0), 1e-12)
-        matrix += rows.T @ rows / variance
-        blocks = thinned(series.blocks, normal.chain.rows[number].step)
-        pulls += [rows[block].T @ residual[block] / variance for block in blocks]
-    matrix += 1e-12 * np.diag(np.diag(matrix)) + np.diag(normal.stiff)
+        noise = np.sqrt(max(float(residual @ residual) / max(count, 1.0), 1e-12))
+        blocks = thinned(normal.chain.series[number].blocks, normal.chain.rows[number].step)
+        recorded.append(Blocks.of(rows / noise, residual / noise, blocks))
+    sums = Blocks.all_of(recorded)
+    matrix, pulls = sums.total[0], sums.side.T
+    matrix = matrix + 1e-12 * np.diag(np.diag(matrix)) + np.diag(normal.stiff)
     seen = int(np.count_nonzero(np.diag(matrix)))
-    pulled = sum(float(pull @ solved(matrix, pull)) for pull in pulls)
+    pulled = float(np.sum(pulls * solved(matrix, pulls)))
     return matrix / max(pulled / max(seen, 1), 1.0)
 
 

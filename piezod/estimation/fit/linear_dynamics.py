@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezod.arrays import Array
-from piezod.estimation.fit.blocks import FOLDS, Blocks, contiguous_folds, solved
+from piezod.estimation.fit.blocks import Blocks, contiguous_folds, solved
 from piezod.estimation.fit.pole_starts import Driven, Poles, fade, starting_poles
 from piezod.estimation.recordings.series import equal_parts
 from piezod.model.unnamed_law import Axis, Driver, Mode, UnnamedLaw, behind_modes
 
 MOST_ROWS = 20_000  # of a recording; longer ones are averaged over boxes of samples
 MOST_DAMPED = 0.999  # damping ratio of a mode; a pair beyond it is two lags
-PIECES = 5  # pieces of a fold with an error each
+PIECES = 20  # pieces of a recording with an error each
 SIMPLER = 0.9  # largest ratio of the squared errors of omitted folds at which more poles are taken
 PATIENCE = 2  # larger numbers of poles that predict no better before the search ends: a mode may need two more
 STEPS, SMALL, FALL = 20, 1e-5, 1e-4  # Gauss-Newton: steps, relative difference of a pole, least relative fall of a step
@@ -185,15 +185,14 @@ def _design(recordings: Sequence[Driven], poles: Poles) -> list[Array]:
 
 def _solved(recordings: Sequence[Driven], poles: Poles) -> LinearDynamics:
     """Gains by least squares, and errors of the omitted folds."""
-    shared, recorded, references = 1 + _width(poles), [], []
+    shared, recorded = 1 + _width(poles), []
     for rows, design in zip(recordings, _design(recordings, poles), strict=True):
         target = np.where(rows.counts, rows.residual / rows.noise, 0.0)
-        parts = equal_parts(target.size, FOLDS * PIECES)
-        recorded.append(Blocks.of(design, target, parts))
-        centred = target - target.sum() / max(int(rows.counts.sum()), 1) * rows.counts
-        references += [float(centred[part] @ centred[part]) for part in parts]
+        recorded.append(Blocks.of(design, target, equal_parts(target.size, PIECES)))
     sums = Blocks.all_of(recorded)
-    folds = contiguous_folds([FOLDS * PIECES] * len(recordings))
+    offsets_only = sums.along(np.eye(sums.side.shape[1])[:, shared::shared])
+    references = offsets_only.errors(offsets_only.solve())
+    folds = contiguous_folds([PIECES] * len(recordings))
     folded = sums.folded(folds)
     without = folded.without()
     # the past is seen in the first fold only, so it is fitted there
@@ -205,7 +204,7 @@ def _solved(recordings: Sequence[Driven], poles: Poles) -> LinearDynamics:
         real = pole.imag == 0.0
         gains.append(complex(solution[place], 0.0 if real else -solution[place + 1]))
         place += 1 if real else 2
-    return LinearDynamics(poles, float(solution[0]), np.array(gains), np.maximum(errors, 1e-300), np.array(references))
+    return LinearDynamics(poles, float(solution[0]), np.array(gains), np.maximum(errors, 1e-300), references)
 
 
 def _width(poles: Poles) -> int:
