@@ -63,18 +63,17 @@ def _shifts_by_time(normal: Normal, hessian: Array) -> Array:
     """
     kept = [normal.terms[term].effect.is_delay for term, _ in normal.layout.searched]
     held = np.array([np.nan] * normal.layout.effects + [0.0 if one else np.nan for one in kept])
-    along, square, dt_s = np.zeros(hessian.shape[0]), 0.0, 0.0
+    slopes, dt_s = [], 0.0
     for number, series in enumerate(normal.chain.series):
-        if series.role != "recording" or series.hold == series.recorded_hold:
-            continue
-        reading_N = normal.chain.run(number, normal.terms, normal.point).reading_N
-        slope = np.gradient(reading_N, series.dt_s)[normal.chain.rows[number]] * normal.trust[number] / series.noise_N
-        weighted = normal.weights[number] * slope
-        along += normal.jacobians[number].T @ weighted
-        square += float(weighted @ slope)
-        dt_s = max(dt_s, series.dt_s)
+        slope = np.zeros(series.time_s.size)
+        if series.role == "recording" and series.hold != series.recorded_hold:
+            slope = np.gradient(normal.chain.run(number, normal.terms, normal.point).reading_N, series.dt_s)
+            dt_s = max(dt_s, series.dt_s)
+        slopes.append(slope[normal.chain.rows[number], None])
     if dt_s == 0.0:
-        return along
+        return np.zeros(hessian.shape[0])
+    sums, _ = normal.beside(slopes)
+    along, square = sums.total[1][:, 0], float(sums.square[:, 0, 0].sum())
     per_second = solved(hessian, along, held)
     information = max(square - float(along @ per_second), 0.0)
     tolerance = EQUAL * float(normal.blocks.square.sum())  # of the sum of squares, as in the choice of a hold
