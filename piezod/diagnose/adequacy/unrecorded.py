@@ -19,7 +19,7 @@ SLOW = 4.0  # least ratio of the residual's rms to its fast part; AR(1) with a c
 CORRELATED = 0.5  # autocorrelation below which the input counts as changed
 HELD = 2.0  # a value that is held for T has an autocorrelation of 1 - lag / T, which falls to a half at T / 2
 LIKELIER = 3.0  # least log-likelihood ratio of a gain over an added input: odds of 20
-CERTAIN = 10.0  # the same for a model that matches: slow noise reached 3 in 3 of 600 draws, and 10 in none
+CERTAIN = 10.0  # as above, for a model that matches: slow noise reached 3 in 3 of 600 draws, and 10 in none
 MARGIN, LEVELS = 0.5, 61  # margin beyond the force range, relative to it, and number of levels that are tried
 REWEIGHTINGS = 5  # rounds of iteratively reweighted least squares
 

@@ -68,7 +68,7 @@ class Isolability:
     seen_from
         Smallest visible size of every effect: rms change of the reading [noise rms], shape (effects,).
     separated_from
-        Smallest size at which the effect of the row is separable from that of the column [noise rms], shape (effects,
+        Smallest size at which the effects of row and column are separable [noise rms], shape (effects,
         effects); 0 on the diagonal.
     noise
         Rms noise [output unit].

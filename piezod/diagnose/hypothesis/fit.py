@@ -247,7 +247,7 @@ class Normal:
         return Blocks(blocks.gram, side, np.concatenate((inner, last[:, None, :]), axis=1), blocks.samples), pull
 
     def projected(self, columns: Sequence[Array]) -> tuple[Array, Array]:
-        """Products of further columns and of the residual without what the fitted parameters follow; see `beside`.
+        """Products of further columns and of the residual, with the fitted parameters projected off.
 
         Returns
         -------

@@ -99,7 +99,7 @@ class Blocks:
         return np.array([solved(gram - own + penalty, side - along + pull, held) for own, along in pairs])
 
     def left(self, parameters: Array, pull: Array | float = 0.0) -> Array:
-        """Products of K targets less what fitted parameters follow, shape (K, K), over all blocks.
+        """Products of K targets less their parts that fitted parameters follow, shape (K, K), over all blocks.
 
         Parameters without each block, as `without` returns them, give the products over the others, shape (B, K, K).
         """

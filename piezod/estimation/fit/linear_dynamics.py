@@ -224,7 +224,7 @@ def _parameters(poles: Poles) -> Array:
 
 
 def _poles(parameters: Array, like: Poles) -> Poles:
-    """Poles of parameters, real where those of `like` are."""
+    """Poles of parameters, real where the poles `like` are real."""
     poles, place = [], 0
     for pole in like:
         if pole.imag == 0.0:
