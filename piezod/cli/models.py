@@ -335,6 +335,7 @@ def validate_models(
     check_page(report)
     load_bench(config)  # a wrong file is refused before the libraries are there
     from piezod.commissioning.validate import plan_validation, run_validation
+    from piezod.daemon.run import rows_are_saved
     from piezod.report.next_step.of_benches import after_validate
     from piezod.report.progress import progress
     from piezod.report.tracking.validation import evaluate_validation, validation_text, write_validation_page
@@ -362,4 +363,6 @@ def validate_models(
             print(f"page: {report.resolve()}")
     if not as_json:
         print_next(step)
+    if verdict.complete:
+        rows_are_saved()
     return 0 if verdict.complete else 1

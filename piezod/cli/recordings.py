@@ -82,6 +82,7 @@ def record_to_file(
         Ctrl-C ended the drive.
     """
     from piezod.commissioning.record import excitation_duration_s, record_excitation
+    from piezod.daemon.run import rows_are_saved
     from piezod.errors import CheckFailedError
     from piezod.excitation import default_periods
     from piezod.recording import write_recording
@@ -103,12 +104,14 @@ def record_to_file(
             on_rows=show,
         )
     if not recording.time_s.size:
+        rows_are_saved()
         text = f"{recording.metadata.get('incomplete', 'no sample')}; {output} is not written"
         if outcome.fault:
             raise CheckFailedError(f"the recording ended before the excitation began: {text}")
         print(f"stopped before the excitation began; {output} is not written", file=sys.stderr)
         raise typer.Exit(INTERRUPTED)
     write_recording(recording, output)
+    rows_are_saved()
     missing = f", {outcome.missed} ticks missed" if outcome.missed else ""
     print(f"{output}: {recording.time_s.size} samples, {recording.time_s[-1]:.1f} s{missing}")
     if outcome.fault:

@@ -70,6 +70,7 @@ def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, f
     if arm and output is not None and force:
         remove_results(output)
     from piezod.config import model_path
+    from piezod.daemon.run import rows_are_saved
     from piezod.recording import write_recording
     from piezod.report.next_step.of_benches import after_sequence
     from piezod.report.progress import progress
@@ -101,6 +102,7 @@ def _run_sequence(config: Path, path: Path, output: Path | None, *, arm: bool, f
     for number, run in enumerate(result.runs, 1):
         if run.recording.time_s.size:
             write_recording(run.recording, output / f"step_{number}.csv")
+    rows_are_saved()
     junit, page = (output / name for name in RESULTS)
     written(junit, junit_xml(verdict))
     write_sequence_page(page, verdict, result.runs, step)

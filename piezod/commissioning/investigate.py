@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from piezod.commissioning.record import excitation_duration_s, record_excitation
+from piezod.daemon.run import rows_are_saved
 from piezod.diagnose.command import diagnose_files
 from piezod.diagnose.experiment.isolability import Isolability, isolability
 from piezod.diagnose.experiment.planning import Experiment, next_experiment, separation
@@ -203,10 +204,12 @@ def investigate(
             reset_cycle=False,
             on_rows=on_rows,
         )
+        own, joint = output / f"work_{number}.csv", output / "work.csv"
+        if recorded.time_s.size:
+            write_recording(recorded, own)
+        rows_are_saved()
         if outcome.stopped:
             raise KeyboardInterrupt  # Ctrl-C ended the drive, and with it the investigation
-        own, joint = output / f"work_{number}.csv", output / "work.csv"
-        write_recording(recorded, own)
         if outcome.fault:
             raise CheckFailedError(f"{own}: the drive ended early: {recorded.metadata['incomplete']}")
         all_drives = recorded if all_drives is None else joined(all_drives, recorded, rest_V)

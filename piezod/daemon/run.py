@@ -1,6 +1,7 @@
 """A service in the foreground: `piezod run`, started by systemd or by hand, and every command that drives."""
 
 import asyncio
+import atexit
 import signal
 import time
 from dataclasses import dataclass, replace
@@ -11,7 +12,8 @@ from piezod.config import BenchConfig, load_bench
 from piezod.config.sections import RecorderConfig
 from piezod.daemon.journal import JOURNAL, log_line
 from piezod.errors import PiezodError, TemporaryError, system_error_text
-from piezod.recorder.recording_files import remove_folder
+from piezod.recorder.recording_files import SUFFIX, recording_files, remove_folder
+from piezod.recording import write_recording
 from piezod.runtime import clock, signals
 from piezod.session.heat_file import HeatFile
 from piezod.session.history import History, OnRows
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from piezod.model import Model
 
 SYNC_EVERY_S = 0.05  # time between two writes of the rows of a command to the disk [s]
+_UNSAVED: list[tuple[Path, str]] = []  # folders of rows that no file of this command holds yet, and their benches
 
 
 @dataclass(frozen=True)
@@ -124,8 +127,7 @@ def drive(
     on_rows
         Called about ten times per second with new rows.
     keeps_rows
-        Whether a recorder writes the rows to a folder until the end, if the bench has no recorder. The folder stays
-        only where this process is killed.
+        Whether a recorder writes the rows to a folder, if the bench has no recorder. It stays until `rows_are_saved`.
 
     Raises
     ------
@@ -153,8 +155,34 @@ def drive(
     finally:
         JOURNAL.is_quiet = False
         if is_unfinished and bench.recordings_path is not None:
-            remove_folder(bench.recordings_path, bench.name)
+            _UNSAVED.append((bench.recordings_path, bench.name))
+            _write_rows(history, bench.recordings_path, bench.name)
     return history, outcome
+
+
+def _write_rows(history: History, folder: Path, bench: str) -> None:
+    """Write what a drive has that ended before its recorder began; remove the folder of one without rows."""
+    if not history.rows.size:
+        rows_are_saved()
+    elif not (folder.exists() and recording_files(folder, bench)):
+        folder.mkdir(exist_ok=True)
+        for number in range(int(history.rows["segment"].max()) + 1):
+            part = history.recording(number, metadata={"bench": bench})
+            if part.time_s.size:
+                write_recording(part, folder / f"{bench}-{number + 1:06d}{SUFFIX}")
+
+
+def rows_are_saved() -> None:
+    """Remove the rows that the drives of this process left on the disk: the files of the command hold them by now."""
+    while _UNSAVED:
+        remove_folder(*_UNSAVED.pop())
+
+
+@atexit.register
+def _name_unsaved_rows() -> None:
+    for folder, _ in _UNSAVED:
+        log_line(f"{folder.absolute()} holds the rows of the drive; piezod convert reads them")
+    JOURNAL.flush()
 
 
 def _serve(

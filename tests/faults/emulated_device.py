@@ -138,9 +138,9 @@ class FaultyUnit(ModbusUnit):
         return super().reply(frame, unit_id, transaction_id)
 
 
-def false_readings(kind: str) -> Callable[[Sample], Sample]:
-    """A function that keeps one quantity of the readings at its first value."""
-    name, first = STUCK[kind], []
+def false_readings(kind: str, value: float | None = None) -> Callable[[Sample], Sample]:
+    """A function that keeps one quantity of the readings at a value; without one, at its first."""
+    name, first = STUCK[kind], [] if value is None else [value]
 
     def read(sample: Sample) -> Sample:
         if not first:
@@ -150,7 +150,7 @@ def false_readings(kind: str) -> Callable[[Sample], Sample]:
     return read
 
 
-STUCK = {"stuck": "force_N", "readback_stuck": "voltage_readback_V"}
+STUCK = {"stuck": "force_N", "readback_stuck": "voltage_readback_V", "hot": "temperature_C"}
 
 
 class FaultServer:
@@ -204,9 +204,9 @@ class FaultServer:
         await self.proxy.act(what)
         return self._now()
 
-    async def do_reading_fault(self, kind: str = "") -> dict[str, Any]:
+    async def do_reading_fault(self, kind: str = "", value: float | None = None) -> dict[str, Any]:
         """Report a quantity that stands still; without a kind, true readings."""
-        self.device.reading_fault = false_readings(kind) if kind else None
+        self.device.reading_fault = false_readings(kind, value) if kind else None
         return self._now()
 
     async def do_other_device(self, acts_on_watchdog: bool = True) -> dict[str, Any]:

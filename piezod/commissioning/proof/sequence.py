@@ -29,7 +29,7 @@ from piezod.commissioning.safe_stop import bring_to_rest
 from piezod.config import BenchConfig
 from piezod.control import ControlLoop, RateKeeper
 from piezod.daemon.proof_date import proof_records
-from piezod.daemon.run import drive
+from piezod.daemon.run import drive, rows_are_saved
 from piezod.errors import CheckFailedError, PiezodError
 from piezod.runtime.files import written
 from piezod.session.assembly import load_bench_without_model
@@ -74,6 +74,7 @@ def prove(path: Path, output: Path | None = None, tester: str = "") -> tuple[dic
     folder = target.parent if bench.proof is None else path.parent / (bench.proof.folder or "")
     record |= compare(record, proof_records(folder, bench.name))
     written(target, json.dumps(record, indent=2) + "\n")
+    rows_are_saved()
     return record, target
 
 
