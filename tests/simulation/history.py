@@ -304,7 +304,7 @@ class History:
         process = self.machine.process
         if process not in self.traces:
             rate_Hz = self.plan.rate_Hz
-            rates = SLEW_V_PER_S / rate_Hz, RAMP_DOWN_V_PER_S / rate_Hz
+            rates = SLEW_V_PER_S / rate_Hz, RAMP_DOWN_V_PER_S / rate_Hz, 1e9 / rate_Hz
             self.traces[process] = Trace(lambda text: self.violate("trace", text), *rates)
         return self.traces[process]
 

@@ -38,12 +38,12 @@ FAULT = (Event.TRIP, Event.LATCHED)  # events of every other cause
 class Trace:
     """What one control process logs and sends; `violate` is called with the text of each discrepancy.
 
-    A slew limit and a comfortable rate [V/tick] let it judge the rate of each ramp.
+    A slew limit, a comfortable rate [V/tick] and the length of a tick let it judge the rate of each ramp.
     """
 
-    def __init__(self, violate, slew_V=0.0, ramp_V=0.0):
-        self._violate, self._slew_V, self._ramp_V = violate, slew_V, ramp_V
-        self._row = None  # tick and voltage of the last row of a ramp whose exchange was good
+    def __init__(self, violate, slew_V=0.0, ramp_V=0.0, dt_ns=0):
+        self._violate, self._slew_V, self._ramp_V, self._dt_ns = violate, slew_V, ramp_V, dt_ns
+        self._row = None  # tick, voltage and time of the last row of a ramp whose exchange was good
         self.asked_ns = self.stopped_ns = None  # first stop that may act, and answer of the last one
         self._rows_after = 0  # rows since that answer
         self._state, self._cause = State.DISARMED, Cause.NONE
@@ -65,7 +65,7 @@ class Trace:
 
     def judge_authority(self, row, now_ns):
         """A row of `ROW_DTYPE`: which demand holds, and whether the output obeys it."""
-        tick, voltage_V, state, result, cause = row[0], row[4], State(row[10]), row[11], Cause(row[13])
+        tick, begun_ns, voltage_V, state, result, cause = *row[:2], row[4], State(row[10]), row[11], Cause(row[13])
         if self.asked_ns is not None and now_ns > self.asked_ns + OUTRANKED_NS and state is State.ARMING:
             self.asked_ns = self.stopped_ns = None
         self._rows_after += 1
@@ -77,13 +77,14 @@ class Trace:
             demand = Demand.STOP if stopped else Demand.DANGER if cause in DANGERS else Demand.FAULT
             fallen_V, left_V = abs(self._row[1]) - abs(voltage_V), abs(self._row[1])
             hasty = demand is not Demand.FAULT
-            least_V = min(self._slew_V if hasty else self._ramp_V, left_V) - LEEWAY_V
+            early = min(1.0, (begun_ns - self._row[2]) / self._dt_ns)  # after a late tick the next one is short
+            least_V = min(early * (self._slew_V if hasty else self._ramp_V), left_V) - LEEWAY_V
             most_V = self._ramp_V + LEEWAY_V if not hasty and self.asked_ns is None else self._slew_V + LEEWAY_V
             if not least_V <= fallen_V <= most_V:
                 self._violate(
                     f"tick {tick}: {fallen_V:.3f} V less by {demand.name}, must be {least_V:.3f} to {most_V:.3f}"
                 )
-        self._row = (tick, voltage_V) if good else None
+        self._row = (tick, voltage_V, begun_ns) if good else None
 
     def add(self, tick, state, cause):
         """A row of the log."""
