@@ -19,7 +19,7 @@ from tests.benches.emulator import piezod
 SEED = 13  # its cases are short
 FOREIGN_SEED = 12  # nothing comes near it
 FILES = {"findings.json", "run.json", "simulated_held_out.csv", "simulated_held_out_base.csv", "replay.json"}
-LONG_S = 120.0
+LONG_S = 600.0  # after which a command hangs; no time is judged here
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def running(*arguments):
 def test_what_no_effect_explains_leaves_the_model_as_it_was(tmp_path):
     made = piezod("blind", "make", tmp_path / "study", "--cases", 1, "--kind", "foreign", "--seed", FOREIGN_SEED)
     assert made.returncode == 0, made.stderr
-    done = piezod("blind", "run", tmp_path / "study", "-o", tmp_path / "verdicts", "--jobs", 1)
+    done = piezod("blind", "run", tmp_path / "study", "-o", tmp_path / "verdicts", "--jobs", 1, timeout=LONG_S)
     assert done.returncode == 0, done.stdout + done.stderr
     findings, _, extended, base = verdict(tmp_path / "verdicts" / "case_0001")
     assert findings["verdict"] == "unexplained"
@@ -158,7 +158,7 @@ def test_a_cluster_whose_workers_see_no_file_of_ours_says_the_same(bare, judged,
     with cluster(tmp_path) as (address, _):
         done = piezod("blind", "run", bare, "-o", tmp_path / "verdicts", "--scheduler", address)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stderr == ""
+    assert all(" of 3 cases" in line for line in done.stderr.splitlines()), done.stderr  # progress, of a slow run
     assert names(tmp_path / "verdicts") == names(judged)
     for name in names(judged):
         assert same(verdict(tmp_path / "verdicts" / name), verdict(judged / name))
