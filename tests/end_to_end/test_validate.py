@@ -9,6 +9,7 @@ from piezod.model.reach import output_reach
 from tests.benches.emulator import ROOT, bench_file, emulator, piezod
 
 REFERENCES = 6
+RATE_HZ = 100.0  # ticks of virtual time take time too
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,7 @@ def validated(coarse, tmp_path_factory):
     folder = tmp_path_factory.mktemp("validate")
     page = folder / "validation.html"
     with emulator("--time", "virtual", "--port", "0") as serves:
-        bench = bench_file(folder, serves, rate_Hz=200, limits={"stale_after_ms": 20})
+        bench = bench_file(folder, serves, rate_Hz=RATE_HZ, limits={"stale_after_ms": 40})
         models = ("--model", coarse, "--model", ROOT / "config" / "model.yaml")
         done = piezod("validate", bench, *models, "--report", page, "--json")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -75,7 +76,7 @@ def test_the_references_are_six_slow_triangles_within_what_both_models_reach(val
         assert low_N < offset_N - amplitude_N
         assert offset_N + amplitude_N < high_N
     assert all(one["frequency_Hz"] == 0.1 for one in result["figures"])
-    assert all(one["samples"] > 3 * 10 * 200 - 10 for one in result["figures"])
+    assert all(one["samples"] > 3 * 10 * RATE_HZ - 10 for one in result["figures"])
 
 
 def test_the_page_shows_every_reference(validated):
@@ -87,7 +88,7 @@ def test_the_page_shows_every_reference(validated):
 
 def test_a_run_that_trips_gives_no_verdict(coarse, tmp_path):
     with emulator("--time", "virtual", "--port", "0") as serves:
-        bench = bench_file(tmp_path, serves, rate_Hz=200, limits={"stale_after_ms": 20, "force_trip_N": 250.0})
+        bench = bench_file(tmp_path, serves, rate_Hz=RATE_HZ, limits={"stale_after_ms": 40, "force_trip_N": 250.0})
         done = piezod("validate", bench, "--model", coarse)
     assert done.returncode == 1, done.stdout + done.stderr
     assert "FAULT after 0 of 12 runs: force above limits.force_trip_N" in done.stdout
