@@ -43,7 +43,7 @@ class Trace:
 
     def __init__(self, violate, slew_V=0.0, ramp_V=0.0, dt_ns=0):
         self._violate, self._slew_V, self._ramp_V, self._dt_ns = violate, slew_V, ramp_V, dt_ns
-        self._row = None  # tick, voltage and time of the last row of a ramp whose exchange was good
+        self._row = None  # tick, voltage, time and cause of the last good row of a ramp
         self.asked_ns = self.stopped_ns = None  # first stop that may act, and answer of the last one
         self._rows_after = 0  # rows since that answer
         self._state, self._cause = State.DISARMED, Cause.NONE
@@ -74,7 +74,7 @@ class Trace:
             self._violate(f"tick {tick}: {state.name}, {1e-9 * (now_ns - self.stopped_ns):.3f} s after a stop")
         good = state is State.RAMP_DOWN and result == 0 and cause not in AMPLIFIER_FAULTS
         if good and self._row is not None and self._row[0] == tick - 1:
-            demand = Demand.STOP if stopped else Demand.DANGER if cause in DANGERS else Demand.FAULT
+            demand = Demand.STOP if stopped else Demand.DANGER if self._row[3] in DANGERS else Demand.FAULT
             fallen_V, left_V = abs(self._row[1]) - abs(voltage_V), abs(self._row[1])
             hasty = demand is not Demand.FAULT
             early = min(1.0, (begun_ns - self._row[2]) / self._dt_ns)  # after a late tick the next one is short
@@ -84,7 +84,7 @@ class Trace:
                 self._violate(
                     f"tick {tick}: {fallen_V:.3f} V less by {demand.name}, must be {least_V:.3f} to {most_V:.3f}"
                 )
-        self._row = (tick, voltage_V, begun_ns) if good else None
+        self._row = (tick, voltage_V, begun_ns, cause) if good else None
 
     def add(self, tick, state, cause):
         """A row of the log."""
