@@ -55,16 +55,19 @@ def test_a_row_of_a_commit_that_the_history_lacks_does_not_count(clone):
     assert ["commit 0123456789ab, which this history lacks" in reason for reason in refusals(file, clone)] == [True]
 
 
-def test_without_the_whole_history_or_without_rows_the_check_fails_and_says_so(clone, tmp_path_factory):
+def test_without_the_whole_history_no_age_is_judged_and_that_is_said_but_a_red_row_still_fails(
+    clone, tmp_path_factory, capsys
+):
     folder = tmp_path_factory.mktemp("elsewhere")
     file = folder / "nightly.json"
     assert "no rows" in refusals(file, clone)[0]
-    write(file, {"fuzz": Row(commit(clone, 3), 1.0, "green", "")})
-    assert "no git history" in refusals(file, folder)[0]
+    write(file, {"fuzz": Row("0123456789ab", 1.0, "green", ""), "slow: a": Row(commit(clone), 1.0, "red", "1 failed")})
     git(folder, "clone", "-q", "--depth", "1", f"file://{clone}", "shallow")
-    assert "`git fetch --unshallow`" in refusals(file, folder / "shallow")[0]
+    for place in (folder, folder / "shallow"):
+        assert refusals(file, place) == [f"{file}: slow: a is red: 1 failed"]
+        assert "the age of the rows is not judged" in capsys.readouterr().out
     git(folder, "clone", "-q", f"file://{clone}", "whole")
-    assert refusals(file, folder / "whole") == []
+    assert len(refusals(file, folder / "whole")) == 2
 
 
 def test_a_test_is_as_good_as_its_worst_phase_and_has_a_row_after_its_last_one():
