@@ -304,8 +304,9 @@ class History:
         process = self.machine.process
         if process not in self.traces:
             rate_Hz = self.plan.rate_Hz
-            rates = SLEW_V_PER_S / rate_Hz, RAMP_DOWN_V_PER_S / rate_Hz, 1e9 / rate_Hz
-            self.traces[process] = Trace(lambda text: self.violate("trace", text), *rates)
+            limits = load_bench(self.path).limits
+            rates = limits.slew_V_per_s / rate_Hz, limits.ramp_down_V_per_s / rate_Hz, 1e9 / rate_Hz
+            self.traces[process] = Trace(lambda text: self.violate("trace", text), *rates, process.received)
         return self.traces[process]
 
     # what holds ---------------------------------------------------------------------------------------------------

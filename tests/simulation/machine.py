@@ -69,7 +69,7 @@ class Process:
         machine.last_pid += 1
         self.pid, self.started_ns = machine.last_pid, machine.now_ns
         self.threads, self.pending = [], []
-        self.handlers = {}
+        self.handlers, self.received = {}, set()
         self.alive, self.code, self.stopped_until_ns = True, None, 0
         self.dies_with_parent = None
         self.owned, self.real = [], set()  # simulated objects, and descriptors of real files
@@ -90,6 +90,7 @@ class Process:
         if not self.alive:
             raise ProcessLookupError
         self.machine.note("signal", self.name, int(number))
+        self.received.add(int(number))
         if number == signal.SIGKILL:
             self.end(-int(number))
         elif number == signal.SIGSTOP:

@@ -9,17 +9,20 @@ demand that holds, and at the comfortable rate without haste. After a stop that 
 seconds.
 """
 
+import signal
 import struct
 
 from piezod.control import Cause, State
 from piezod.control.authority import Demand
 from piezod.control.states import DANGERS, MAY_WRITE, TRANSITIONS, Event, Write
+from piezod.session.task import URGENT
 
 OUTRANKED_NS = 2_000_000_000  # an arm must not act for so long after a stop
 LATE_ROWS = 2  # ticks that may still drive after the answer of a stop
 LEEWAY_V = 0.02  # of a step: converter and rounding
 AMPLIFIER_FAULTS = (Cause.DEVICE_FAULT, Cause.DEVICE_TOO_HOT, Cause.MAINS_LOST)
 MOST_STEPS = 4  # events between two rows: two commands of a client, a fault, and its end
+FAST_STOPS = {signal.SIGUSR2, URGENT["stop"]}
 SET_POINT = 100  # address of the voltage register
 EVENTS = {
     Cause.ARMED: (Event.ARM,),
@@ -38,10 +41,12 @@ FAULT = (Event.TRIP, Event.LATCHED)  # events of every other cause
 class Trace:
     """What one control process logs and sends; `violate` is called with the text of each discrepancy.
 
-    A slew limit, a comfortable rate [V/tick] and the length of a tick let it judge the rate of each ramp.
+    A slew limit, a comfortable rate [V/tick] and the length of a tick let it judge the rate of each ramp. `received` is
+    the set of signals that have come to the process: those of a fast stop permit the slew limit.
     """
 
-    def __init__(self, violate, slew_V=0.0, ramp_V=0.0, dt_ns=0):
+    def __init__(self, violate, slew_V=0.0, ramp_V=0.0, dt_ns=0, received=frozenset()):
+        self._received = received
         self._violate, self._slew_V, self._ramp_V, self._dt_ns = violate, slew_V, ramp_V, dt_ns
         self._row = None  # tick, voltage, time and cause of the last good row of a ramp
         self.asked_ns = self.stopped_ns = None  # first stop that may act, and answer of the last one
@@ -72,14 +77,15 @@ class Trace:
         stopped = self.stopped_ns is not None and self._rows_after > LATE_ROWS
         if stopped and MAY_WRITE[state] in (Write.PLANNED, Write.HELD):
             self._violate(f"tick {tick}: {state.name}, {1e-9 * (now_ns - self.stopped_ns):.3f} s after a stop")
-        good = state is State.RAMP_DOWN and result == 0 and cause not in AMPLIFIER_FAULTS
+        good = self._dt_ns and state is State.RAMP_DOWN and result == 0 and cause not in AMPLIFIER_FAULTS
         if good and self._row is not None and self._row[0] == tick - 1:
             demand = Demand.STOP if stopped else Demand.DANGER if self._row[3] in DANGERS else Demand.FAULT
             fallen_V, left_V = abs(self._row[1]) - abs(voltage_V), abs(self._row[1])
             hasty = demand is not Demand.FAULT
             early = min(1.0, (begun_ns - self._row[2]) / self._dt_ns)  # after a late tick the next one is short
             least_V = min(early * (self._slew_V if hasty else self._ramp_V), left_V) - LEEWAY_V
-            most_V = self._ramp_V + LEEWAY_V if not hasty and self.asked_ns is None else self._slew_V + LEEWAY_V
+            slow = not hasty and self.asked_ns is None and not self._received & FAST_STOPS
+            most_V = (self._ramp_V if slow else self._slew_V) + LEEWAY_V
             if not least_V <= fallen_V <= most_V:
                 self._violate(
                     f"tick {tick}: {fallen_V:.3f} V less by {demand.name}, must be {least_V:.3f} to {most_V:.3f}"
