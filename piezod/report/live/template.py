@@ -20,7 +20,7 @@ LIVE_SCRIPT = (
     TOUCH_SCRIPT
     + """
 const STALE_AFTER_MS = 3000, TRY_EVERY_MS = 2000;
-let updated = Date.now(), watched = null;
+let updated = Date.now(), watched = null, asked = false;
 function watchDocument() {
   const found = Bokeh.documents.find((one) => one.get_model_by_name("banner"));
   if (!found || found === watched) return;
@@ -36,8 +36,10 @@ setInterval(() => {
     warning.textContent = `No update for ${Math.round(age / 1000)} s: the values are out of date`;
 }, 500);
 setInterval(() => {
-  if (Date.now() - updated < STALE_AFTER_MS + TRY_EVERY_MS || document.hidden) return;
-  fetch(location.href, {cache: "no-store"}).then((answer) => { if (answer.ok) location.reload(); }, () => {});
+  if (asked || Date.now() - updated < STALE_AFTER_MS + TRY_EVERY_MS || document.hidden) return;
+  asked = true;  // one at a time: a further one would begin the reload of a slow server anew, for ever
+  fetch(location.href, {cache: "no-store"}).then(
+    (answer) => { if (answer.ok) location.reload(); else asked = false; }, () => { asked = false; });
 }, TRY_EVERY_MS);
 """
 )
