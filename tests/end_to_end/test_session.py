@@ -90,6 +90,7 @@ def test_the_control_process_ramps_down_when_the_one_that_started_it_is_killed(t
             until(lambda: register(serves, 202) > 5.0)
             process.kill()
             process.wait()
+            until(lambda: register(serves, 100) == 0.0)
             until(lambda: abs(register(serves, 202)) <= 0.1)
         assert register(serves, 100) == 0.0
 

@@ -104,6 +104,7 @@ def test_red_rows_come_first_then_those_that_never_ran_then_the_oldest_and_none_
      ("print('bad'); raise SystemExit(1)", "red", "bad")],
 )  # fmt: skip
 def test_a_command_is_red_by_its_exit_code_or_by_its_last_line(tmp_path, monkeypatch, program, colour, figure):
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))  # also where the current folder is no place of modules
     (tmp_path / "one_command.py").write_text(program, encoding="utf-8")
     monkeypatch.setattr(nightly, "ROOT", tmp_path)
     row = Command(["one_command"], bad="; not: ").run("c", 60.0)
@@ -111,6 +112,7 @@ def test_a_command_is_red_by_its_exit_code_or_by_its_last_line(tmp_path, monkeyp
 
 
 def test_what_the_time_is_too_short_for_stays_as_it_was_and_ends(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))  # also where the current folder is no place of modules
     (tmp_path / "long_command.py").write_text("import time; time.sleep(60)", encoding="utf-8")
     monkeypatch.setattr(nightly, "ROOT", tmp_path)
     rows, news = {"fuzz": Row("c")}, []

@@ -310,7 +310,7 @@ def test_a_reference_that_comes_within_the_timeout_is_followed(ring_log):
 
 
 def test_the_timeout_of_arming_does_not_end_a_run(ring_log):
-    loop = make_loop(FakeLink(), ring_log, arming_timeout_s=0.001)
+    loop = make_loop(FakeLink(), ring_log, arming_timeout_s=0.01)
     loop.arm(Segment("work", TableReference(np.full(5000, 60.0)), Halving()))
     run(loop, 3000)
     assert loop.supervisor.state is State.RUNNING
