@@ -156,7 +156,10 @@ def drive(
         JOURNAL.is_quiet = False
         if is_unfinished and bench.recordings_path is not None:
             _UNSAVED.append((bench.recordings_path, bench.name))
-            _write_rows(history, bench.recordings_path, bench.name)
+            try:
+                _write_rows(history, bench.recordings_path, bench.name)
+            except (OSError, PiezodError):  # the files of the command are still to come
+                _UNSAVED.pop()
     return history, outcome
 
 
@@ -186,13 +189,7 @@ def _name_unsaved_rows() -> None:
 
 
 def _serve(
-    path: Path,
-    task: Task,
-    *,
-    arm: bool,
-    on_rows: OnRows | None,
-    correction_size: int = 0,
-    is_unfinished: bool = False,
+    path: Path, task: Task, *, arm: bool, on_rows: OnRows | None, correction_size: int = 0, is_unfinished: bool = False
 ) -> "Service":
     """Run a service from the lock of its bench to the end, and keep the heat of the stack.
 

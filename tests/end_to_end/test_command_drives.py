@@ -57,10 +57,10 @@ def verb_of(name, bench, folder):
 
 
 @contextlib.contextmanager
-def driving(name, bench, folder):
+def driving(name, bench, folder, works_in=None):
     """The command, once 20 ticks and more have followed its reference."""
     command = [sys.executable, "-m", "piezod", *map(str, verb_of(name, bench, folder))]
-    process = Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder)
+    process = Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=works_in or folder)
     try:
         deadline_s, first = time.monotonic() + WITHIN_S, None
         while first is None or status_of(bench).get("ticks", 0) < first + 20:
@@ -136,6 +136,15 @@ def test_a_command_that_is_killed_leaves_every_row_to_the_rest_on_the_disk(bench
     assert recording.metadata["incomplete"] == "the command that drove was killed"
     assert recording.time_s.size >= 20
     assert at_rest(bench)
+
+
+def test_a_folder_where_nobody_can_write_costs_no_recording(bench, tmp_path):
+    with driving("record", bench, tmp_path, works_in="/proc") as process:
+        assert piezod("stop", bench).returncode == 0
+        _, said = process.communicate(timeout=WITHIN_S)
+    assert process.returncode == 130, said
+    assert "Traceback" not in said
+    assert read_csv(tmp_path / "out.csv").time_s.size >= 20
 
 
 @pytest.mark.parametrize("name", ["record", "sequence"])
